@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from roadtorch.base.errors import DatasetError
-from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.data.kitti_road import BirdsEyeView, open_kitti_road, result_name, use_birds_eye_view
 from roadtorch.evaluation.metrics import average_precision, count_levels, max_f
@@ -30,10 +29,10 @@ def street() -> np.ndarray:
     return truth
 
 
-def add_frame(folder: Path, name: str, truth: np.ndarray, kind: str = "road") -> None:
+def add_frame(folder: Path, name: str, truth: np.ndarray) -> None:
     grey = np.full((*truth.shape[:2], 3), 99, np.uint8)
     write(folder / "image_2" / f"{name}.png", grey)
-    write(folder / "gt_image_2" / f"{result_name(name, kind)}.png", truth)
+    write(folder / "gt_image_2" / f"{result_name(name)}.png", truth)
     text = reference.calibration_text(reference.made_up_rows())
     (folder / "calib").mkdir(exist_ok=True)
     (folder / "calib" / f"{name}.txt").write_text(text)
@@ -42,44 +41,9 @@ def add_frame(folder: Path, name: str, truth: np.ndarray, kind: str = "road") ->
 @pytest.fixture(scope="module")
 def kitti(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("kitti")
-    for name in ("um_000001", "umm_000000", "uu_000000", "um_000000"):
+    for name in ("um_000001", "um_000000"):
         add_frame(root, name, street())
-    add_frame(root, "um_000000", street(), "lane")
-    add_frame(root, "um_000001", street()[::-1].copy(), "lane")
     return root
-
-
-# --- files -------------------------------------------------------------------------------
-
-
-def test_images_are_grouped_by_category(kitti):
-    dataset = open_kitti_road(kitti, "road")
-
-    names = [item.name for item in dataset.items]
-    assert names == ["um_000000", "um_000001", "umm_000000", "uu_000000"]
-    assert dataset.groups() == ["um", "umm", "uu"]
-    assert dataset.items[2].label == kitti / "gt_image_2/umm_road_000000.png"
-    assert dataset.levels == 256
-    assert dataset.scoring_space is None
-    assert open_dataset("kitti-road", kitti) == dataset
-
-
-def test_the_archives_own_folder_is_found(kitti, tmp_path):
-    (tmp_path / "training").symlink_to(kitti)
-    dataset = open_kitti_road(tmp_path, "road")
-
-    assert len(dataset.items) == 4
-    assert use_birds_eye_view(dataset).scoring_space == BirdsEyeView(tmp_path / "training/calib")
-
-
-def test_lanes_are_those_of_um(kitti):
-    dataset = open_kitti_road(kitti, "lane")
-
-    assert [item.label.name for item in dataset.items] == [
-        "um_lane_000000.png",
-        "um_lane_000001.png",
-    ]
-    assert dataset.truth(dataset.items[1]).road[0].any()
 
 
 # --- bird's-eye view ---------------------------------------------------------------------
@@ -97,6 +61,7 @@ def scores(dataset: Dataset, item: LabelledItem, likelihood: torch.Tensor) -> tu
 def test_cells_without_a_pixel_are_void(kitti):
     dataset = use_birds_eye_view(open_kitti_road(kitti, "road"))
     item = dataset.items[0]
+    assert dataset.levels == 256
     assert dataset.scoring_space is not None
 
     unseen = ~dataset.scoring_space(item, torch.ones(HEIGHT, WIDTH, dtype=torch.bool))

@@ -73,6 +73,8 @@ STREET = {"images/street_1.png": BLACK, "labels/street_1_L.png": BLACK}
 KITTI = {"image_2/um_000000.png": BLACK, "gt_image_2/um_road_000000.png": BLACK}
 
 SETS: Rows = [
+    (lambda folder: open_dataset("camvid", folder, "test"), {"train/a.png": BLACK}, "testannot",
+     "does not exist"),
     (partial(open_dataset, "camvid32"), {}, "", "no CamVid in 32 colours .*LabeledApproved_full"),
     (lambda folder: open_dataset("camvid32", folder, "test"), FRAME, "",
      "holds no images of the split test"),

@@ -1,5 +1,6 @@
-"""Labelled sets: names and splits, folders, IDD Lite, Cityscapes, sets of other packages."""
+"""Labelled sets: files, splits, groups, labels, conditions, sets of other packages."""
 
+import csv
 import json
 import re
 from importlib.metadata import EntryPoint
@@ -14,6 +15,7 @@ from PIL import Image
 import roadtorch.base.plugins
 import roadtorch.data.catalogue
 from roadtorch.base.errors import ConfigError, DatasetError, RoadtorchError
+from roadtorch.data.camvid import CLASSES11, COLOURS32, segnet_split
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, DatasetFormat, LabelledItem, Truth, leave_out
 from roadtorch.data.label_folders import add_conditions
@@ -21,6 +23,56 @@ from tests.data.conftest import write
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs/evaluation.md"
 
+
+# --- files ---------------------------------------------------------------------------------------
+
+FRAMES = ("0001TP_008520", "0001TP_008550", "0016E5_07959", "0016E5_08190", "Seq05VD_f00000")
+CAMVID = ("{0}/{1}", "{0}annot/{1}", ["train 0006R0_1", "val 0016E5_7959", "test Seq05VD_1"])
+CAMVID32 = ("images/{0}", "labels/{0}_L", FRAMES)
+KITTI = ["um 000001", "umm 000000", "uu 000000", "um 000000"]
+CITIES = ("leftImg8bit/{0}_leftImg8bit", "gtFine/{0}_gtFine_labelIds",
+          ["val/ulm/ulm_1_2", "val/bonn/bonn_0_2", "train/aachen/aachen_0_0"])  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "split", "image", "label", "files", "expected"),
+    [
+        ("camvid", None, *CAMVID, {"0006R0_1": "0006R0", "0016E5_7959": "0016E5"}),
+        ("camvid", "val", *CAMVID, {"0016E5_7959": "0016E5"}),
+        ("camvid", "test", *CAMVID, {"Seq05VD_1": "Seq05V"}),
+        *(("camvid32", split, *CAMVID32, {FRAMES[i]: FRAMES[i][:6] for i in chosen})
+          for split, chosen in {None: range(5), "dev": (0, 2, 3), "train": (0, 3), "val": (2,),
+                                "test": (1, 4)}.items()),
+        *(("camvid32", None, f"{images}/{{}}", f"{labels}/{{}}_L", FRAMES[:1],
+           {FRAMES[0]: "0001TP"})
+          for images, labels in {"701_StillsRaw_full": "LabeledApproved_full",
+                                 "images/701_StillsRaw_full": "labels",
+                                 "train": "train_labels"}.items()),
+        ("kitti-road", None, "image_2/{0}_{1}", "gt_image_2/{0}_road_{1}", KITTI,
+         {"um_000000": "um", "um_000001": "um", "umm_000000": "umm", "uu_000000": "uu"}),
+        ("kitti-road", "lane", "training/image_2/{0}_{1}", "training/gt_image_2/{0}_lane_{1}",
+         KITTI, {"um_000000": "um", "um_000001": "um"}),
+        ("cityscapes", None, *CITIES, {"bonn_0_2": "bonn", "ulm_1_2": "ulm"}),
+        ("cityscapes", "train", *CITIES, {"aachen_0_0": "aachen"}),
+        ("folder", None, "{0}/images/{1}", "{0}/masks/{1}", ["near a", "far b", "far a"],
+         {"far/a": "far", "far/b": "far", "near/a": "near"}),
+    ],
+)  # fmt: skip
+def test_items_and_their_groups_come_from_the_names_of_files(
+    tmp_path, name, split, image, label, files, expected
+):
+    for file in files:
+        for pattern in (image, label):
+            write(tmp_path / f"{pattern.format(*file.split())}.png", np.zeros((1, 1), np.uint8))
+
+    dataset = open_dataset(name, tmp_path, split)
+
+    assert {item.name: item.group for item in dataset.items} == expected
+    assert [item.name for item in dataset.items] == [*expected]
+    assert dataset.groups() == sorted({*expected.values()})
+
+
+# --- labels --------------------------------------------------------------------------------------
 
 FOLDER = ("folder", "images/a", "masks/a")
 ULM = "val/ulm/ulm_000001_000019"
@@ -56,6 +108,60 @@ def test_what_the_labels_of_a_set_mean(tmp_path, name, image, label, pixels, roa
     assert truth.road[0].nonzero().flatten().tolist() == road
     assert (~truth.valid[0]).nonzero().flatten().tolist() == void
     assert (truth.layout if truth.layout is None else truth.layout[0].tolist()) == layout
+
+
+NAMES = [name for _, name, _ in COLOURS32]
+ROAD = {"Road", "LaneMkgsDriv", "LaneMkgsNonDriv", "RoadShoulder"}
+RARE = {"Archway", "Bridge", "CartLuggagePram", "Child", "OtherMoving", "TrafficCone"}
+VOID = RARE | {"Void", "Animal", "Train", "Tunnel"}
+
+
+def names_where(values: torch.Tensor) -> set[str]:
+    return {NAMES[i] for i in values[0].nonzero().flatten().tolist()}
+
+
+@pytest.mark.parametrize(
+    ("name", "road", "horizontal", "vertical", "void"),
+    [
+        ("camvid32", ROAD, ROAD | {"Sidewalk", "ParkingBlock"}, 15, VOID),
+        # by the paper's sentence
+        ("camvid32:literal", {"Road"}, {"Road", "Sidewalk"}, 29, set()),
+        ("camvid32:literal-ignore", {"Road"}, {"Road", "Sidewalk"}, 28, {"Void"}),
+    ],
+)
+def test_what_the_colours_of_camvid_mean(tmp_path, name, road, horizontal, vertical, void):
+    colours = np.array([colour for colour, _, _ in COLOURS32], np.uint8)[None]
+    write(tmp_path / "images/0006R0_f01050.png", np.zeros_like(colours))
+    write(tmp_path / "labels/0006R0_f01050_L.png", colours)
+    dataset = open_dataset(name, tmp_path)
+
+    truth = dataset.read(dataset.items[0])[1]
+
+    assert dataset.name == name
+    assert names_where(truth.road) == road
+    assert truth.layout is not None
+    assert names_where(truth.layout == 0) == {"Sky"}
+    assert (truth.layout == 1).sum() == vertical
+    assert names_where(truth.layout == 2) == horizontal
+    assert names_where(~truth.valid) == names_where(truth.layout == 255) == void
+
+
+@pytest.mark.data
+def test_the_table_is_the_measured_one(data_root):
+    with (data_root / "camvid_full/to11.csv").open() as file:
+        measured = {row["name"]: CLASSES11[int(row["index11"])] for row in csv.DictReader(file)}
+    with (data_root / "camvid_full/colors32.csv").open() as file:
+        colours = {row["name"]: tuple(int(row[c]) for c in "rgb") for row in csv.DictReader(file)}
+
+    assert {name: label for _, name, label in COLOURS32} == measured
+    assert {name: colour for colour, name, _ in COLOURS32} == colours
+
+
+@pytest.mark.data
+def test_names_tell_the_splits_of_the_release(data_root):
+    for split in ("train", "val"):
+        items = open_dataset("camvid", data_root / "camvid", split).items
+        assert {segnet_split(item.name) for item in items} == {split}
 
 
 # --- folder --------------------------------------------------------------------------------------
@@ -193,21 +299,6 @@ def test_groups_left_out_stay_in_the_set_but_in_no_condition(root):
 def test_what_cannot_be_left_out_is_refused(root, folder, groups, message):
     with pytest.raises(ConfigError, match=message):
         leave_out(open_dataset("folder", root / folder), groups)
-
-
-# --- Cityscapes ----------------------------------------------------------------------------------
-
-
-def test_cityscapes_is_grouped_by_city(tmp_path):
-    for place in ("val/ulm/ulm_1_2", "val/bonn/bonn_0_2", "train/aachen/aachen_0_0"):
-        write(tmp_path / f"leftImg8bit/{place}_leftImg8bit.png", np.zeros((1, 1), np.uint8))
-        write(tmp_path / f"gtFine/{place}_gtFine_labelIds.png", np.zeros((1, 1), np.uint8))
-
-    dataset = open_dataset("cityscapes", tmp_path)
-
-    assert [item.name for item in dataset.items] == ["bonn_0_2", "ulm_1_2"]
-    assert dataset.groups() == ["bonn", "ulm"]
-    assert open_dataset("cityscapes", tmp_path, "train").groups() == ["aachen"]
 
 
 # --- the examples of docs/evaluation.md ----------------------------------------------------------
