@@ -2,16 +2,15 @@
 
 import math
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass
 
-from roadtorch.base.errors import InputError, RoadtorchError
-from roadtorch.base.image_cache import image_cache
-from roadtorch.base.progress import Progress
+from torch import Tensor
+
 from roadtorch.data.dataset import Dataset, LabelledItem
-from roadtorch.evaluation.methods import Contender, Predictor
+from roadtorch.detectors.detection import Detection
+from roadtorch.evaluation.methods import Contender
 from roadtorch.evaluation.result import Failure
-from roadtorch.run.workers import WORKER_CRASH, make_workers
+from roadtorch.evaluation.scoring import run_contenders
 
 
 @dataclass(frozen=True)
@@ -41,43 +40,24 @@ class Disagreements:
     failures: Sequence[Failure]
 
 
-@dataclass(frozen=True)
-class CompareTask:
-    """Task of a worker process: the masks of two contenders on one image."""
-
-    dataset: Dataset
-    predictors: Sequence[Predictor]
-
-    def __call__(self, item: LabelledItem) -> Disagreement | Failure:
-        """Return the difference of the masks, or the failure of a contender."""
-        try:
-            image, _ = self.dataset.read(item)  # truth that cannot be read is a failure, too
-            with image_cache():
-                first, second = (predict(image, item) for predict in self.predictors)
-        except RoadtorchError as error:
-            return Failure(item.name, None, str(error))
-        parts = (first.mask & ~second.mask, second.mask & ~first.mask, first.mask, second.mask)
-        only_first, only_second, *roads = (float(part.double().mean()) for part in parts)
-        trusts = (math.nan if side.trust is None else side.trust for side in (first, second))
-        return Disagreement(item, only_first + only_second, *roads, *trusts)
-
-
 def compare_masks(
     dataset: Dataset, methods: tuple[Contender, Contender], quiet: bool = False, **progress: str
 ) -> Disagreements:
     """Compare the masks of two methods on every image, each at its own threshold."""
-    task = CompareTask(dataset, [contender.prepare(dataset) for contender in methods])
-    results = make_workers(None, len(dataset.items)).map(task, dataset.items, _crash_failure)
-    with closing(results):
-        rows = [*Progress(results, total=len(dataset.items), unit="image", quiet=quiet, **progress)]
-    images = [row for row in rows if isinstance(row, Disagreement)]
+    images, failures = list[Disagreement](), list[Failure]()
+    for item, sides in run_contenders(dataset, methods, _take_mask, None, quiet, **progress):
+        if isinstance(sides, Failure):
+            failures.append(sides)
+            continue
+        (first, *trusts), (second, second_trust) = sides.values()
+        difference, *roads = (float(m.double().mean()) for m in (first ^ second, first, second))
+        images.append(Disagreement(item, difference, *roads, *trusts, second_trust))
     images.sort(key=lambda pair: (-pair.difference, pair.item.name))
-    failures = [row for row in rows if isinstance(row, Failure)]
     return Disagreements(dataset, methods, images, failures)
 
 
-def _crash_failure(item: LabelledItem) -> Failure:
-    return Failure(item.name, None, str(InputError(item.image, *WORKER_CRASH)))
+def _take_mask(detection: Detection, *_: object) -> tuple[Tensor, float]:
+    return detection.mask, math.nan if detection.trust is None else detection.trust
 
 
 # --- effect of further training: first is before, second is after -------------------------

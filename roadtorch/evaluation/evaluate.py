@@ -1,12 +1,10 @@
 """Score detectors on a labelled set: count every image once, then compute scores."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 from roadtorch.base.errors import ConfigError, DatasetError, UnscorableError
-from roadtorch.base.progress import Progress
 from roadtorch.camera.camera import Camera
 from roadtorch.data.dataset import Dataset, subsample_dataset
 from roadtorch.evaluation.measure import Measure
@@ -19,7 +17,7 @@ from roadtorch.evaluation.methods import (
     parse_reference,
 )
 from roadtorch.evaluation.result import Evaluation, Failure, summarise
-from roadtorch.evaluation.scoring import score_dataset
+from roadtorch.evaluation.scoring import run_contenders
 from roadtorch.evaluation.tally import Tally
 from roadtorch.evaluation.uncertainty import bootstrap, compare_detectors, score_intervals
 from roadtorch.layout.runtimes import REFERENCE
@@ -104,12 +102,12 @@ def tally_images(
 ) -> tuple[Mapping[str, Tally], list[Failure]]:
     """Count every image for every contender; an image that fails counts for none of them."""
     tallies, failures = {entry.name: Tally() for entry in entries}, list[Failure]()
-    with closing(score_dataset(dataset, entries, jobs)) as results:
-        for result in Progress(results, total=len(dataset.items), unit="image", quiet=quiet):
-            if result.failure:
-                failures.append(Failure(result.item.name, result.item.group, result.failure))
-            for name, counts in result.counts.items():
-                tallies[name].add(result.item, counts)
+    for item, counts in run_contenders(dataset, entries, jobs=jobs, quiet=quiet):
+        if isinstance(counts, Failure):
+            failures.append(counts)
+            continue
+        for name, part in counts.items():
+            tallies[name].add(item, part)
     first = failures[0].reason if failures else "all groups are left out"
     roads = [counts.road for tally in tallies.values() for counts in tally.road.values()]
     if not {group for tally in tallies.values() for group in tally.road} - dataset.left_out:

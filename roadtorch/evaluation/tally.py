@@ -46,15 +46,6 @@ class ImageCounts:
 
 
 @dataclass(frozen=True, eq=False)
-class ImageResult:
-    """Counts of every detector on one image, or the reason of a failure."""
-
-    item: LabelledItem
-    counts: Mapping[str, ImageCounts]
-    failure: str = ""
-
-
-@dataclass(frozen=True, eq=False)
 class ImageTable:
     """Counts of n images: a row of every tensor is one image."""
 

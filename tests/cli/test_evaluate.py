@@ -205,7 +205,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_run(camvid, tmp_p
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)
-    monkeypatch.setattr(scoring, "ScoringTask", None)  # must not be reached
+    monkeypatch.setattr(scoring, "ItemTask", None)  # must not be reached
 
     with pytest.raises(InputError, match="out: cannot be written: Permission denied"):
         run("camvid", camvid, "--detector", "prior:rows", "--out", tmp_path / "out")

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
@@ -17,52 +16,43 @@ from roadtorch.data.label_images import ColourLabels, NumberLabels, pair_files
 from roadtorch.data.likelihood_maps import find_maps, open_maps
 from roadtorch.data.polygons import fill_polygon
 from roadtorch.detectors.entry import DetectorSettings
-from tests.data.conftest import read_likelihood_map, write
+from tests.data.conftest import write
 from tests.reference.polygons import contains, edges, is_on, is_on_drawn_border
 
 NUMBERS = NumberLabels(road=(1, 5), void=(9,), values=(0, 1, 5, 7, 9), layout=(1, 2, 2, 0, 255))
-COLOURS = ColourLabels(
-    colours=((0, 0, 0), (255, 0, 255), (1, 2, 3)),
-    numbers=NumberLabels(road=(1,), void=(2,), values=(0, 1, 2)),
-)
-GREY = np.array([[0, 255], [255, 0]], np.uint8)
-MASKS = NumberLabels(road=(1, 255), void=(), values=(0, 1, 255))
+PIXELS = ((0, 0, 0), (255, 0, 255), (1, 2, 3), (0, 0, 9), (4, 4, 4))
+COLOURS = ColourLabels(PIXELS, NUMBERS)
+ROW = np.array([NUMBERS.values], np.uint8)
+GREY = np.zeros((1, 1), np.uint8)
 
 
 def saved(path: Path, image: np.ndarray | Image.Image) -> LabelledItem:
     return LabelledItem(path.stem, write(path, image), path)
 
 
-ROW = np.array([[0, 1, 5, 7, 9]], np.uint8)
-PALETTE = Image.fromarray(ROW).convert("P")
-PALETTE.putpalette([200, 30, 10] * 256)
+def in_palette(values: np.ndarray, colours: list[int]) -> Image.Image:
+    image = Image.fromarray(values).convert("P")
+    image.putpalette(colours)
+    return image
 
 
-@pytest.mark.parametrize("image", [ROW, ROW.astype(np.uint16), PALETTE], ids=["8", "16", "P"])
-def test_what_the_numbers_mean(tmp_path, image):
-    truth = NUMBERS.truth(saved(tmp_path / "a.png", image))
+@pytest.mark.parametrize(
+    ("reader", "image"),
+    [
+        *((NUMBERS, Image.fromarray(ROW).convert(mode)) for mode in ("L", "RGB", "RGBA", "LA")),
+        (NUMBERS, ROW.astype(np.uint16)),
+        (NUMBERS, in_palette(ROW, [200, 30, 10] * 256)),
+        (COLOURS, Image.fromarray(np.array([PIXELS], np.uint8))),
+        (COLOURS, Image.fromarray(np.array([PIXELS], np.uint8)).quantize(5)),
+    ],
+)
+def test_what_numbers_and_colours_mean(tmp_path, reader, image):
+    truth = reader.truth(saved(tmp_path / "a.png", image))
 
     assert truth.road[0].tolist() == [False, True, True, False, False]
     assert truth.valid[0].tolist() == [True, True, True, True, False]
     assert truth.layout is not None
     assert truth.layout[0].tolist() == [1, 2, 2, 0, 255]
-
-
-@pytest.mark.parametrize("mode", ["RGB", "RGBA", "LA", "1"])
-def test_grey_images_of_several_modes(tmp_path, mode):
-    truth = MASKS.truth(saved(tmp_path / "a.png", Image.fromarray(GREY).convert(mode)))
-
-    assert truth.road.tolist() == [[False, True], [True, False]]
-    assert truth.layout is None
-
-
-def test_what_the_colours_mean(tmp_path):
-    pixels = np.array([[[255, 0, 255], [1, 2, 3], [0, 0, 0]]], np.uint8)
-    for image in (Image.fromarray(pixels), Image.fromarray(pixels).quantize(3)):
-        truth = COLOURS.truth(saved(tmp_path / "a.png", image))
-
-        assert truth.road[0].tolist() == [True, False, False]
-        assert truth.valid[0].tolist() == [True, False, True]
 
 
 def test_pairs_in_the_order_of_their_names(tmp_path):
@@ -100,55 +90,39 @@ def test_images_of_a_set_that_are_not_read_are_named(tmp_path: Path) -> None:
 
 # --- maps ----------------------------------------------------------------------------------------
 
-RAMP = np.linspace(0, 1, 24).reshape(4, 6)
+RAMP = np.linspace(0, 1, 60).reshape(6, 10)
+BYTES, WORDS = np.round(RAMP * 255).astype(np.uint8), np.round(RAMP * 65535).astype(np.uint16)
+MASK = RAMP > 0.6
+ONES = MASK.astype(np.uint8)
 
 
-def test_8_and_16_bit_images_and_numpy_files_are_read_alike(tmp_path):
-    cv2.imwrite(str(tmp_path / "a.png"), np.round(RAMP * 255).astype(np.uint8))
-    cv2.imwrite(str(tmp_path / "b.likelihood.png"), np.round(RAMP * 65535).astype(np.uint16))
-    np.save(tmp_path / "c.npy", RAMP)
-    np.save(tmp_path / "a.npy", RAMP)  # the same as beside it
-
-    for name, step in (("a", 1 / 255), ("b", 1 / 65535), ("c", 1e-7)):
-        likelihood = read_likelihood_map(tmp_path, ["none", name], [(4, 6)])
-        assert likelihood.dtype == torch.float32
-        assert np.abs(likelihood.numpy() - RAMP).max() <= step / 2 + 1e-7
-
-
-MASK = np.arange(24).reshape(4, 6) > 13
-
-
-def in_palette(colours: list[int]) -> Image.Image:
-    image = Image.fromarray(MASK.astype(np.uint8)).convert("P")
-    image.putpalette(colours)
-    return image
-
-
+@pytest.mark.filterwarnings("ignore:.*has only 2")
 @pytest.mark.parametrize(
-    "values",
+    ("files", "expected"),
     [
-        Image.fromarray(MASK.astype(np.uint8)),
-        Image.fromarray(MASK.astype(np.uint8) * 255),
-        Image.fromarray(MASK.astype(np.uint16)),
-        Image.fromarray(MASK),
-        Image.fromarray(np.stack([MASK.astype(np.uint8)] * 3, -1)),
-        in_palette([0, 0, 0, 128, 0, 0]),
-        MASK,
-        MASK.astype(np.int64),
-        MASK.astype(np.uint8) * 255,
-        MASK.astype(np.uint16) * 65535,
+        ({"a.png": BYTES, "a.npy": RAMP}, BYTES / 255),  # the same twice
+        ({"a.likelihood.png": WORDS}, WORDS / 65535),
+        ({"a.npy": RAMP}, RAMP),
+        *(({"a.png": image}, MASK)
+          for image in (ONES, ONES * 255, Image.fromarray(ONES.astype(np.uint16)),
+                        Image.fromarray(MASK), np.stack([ONES] * 3, -1),
+                        in_palette(ONES, [0, 0, 0, 128, 0, 0]))),
+        *(({"a.npy": values}, MASK)
+          for values in (MASK, MASK.astype(np.int64), ONES * 255, ONES * np.uint16(65535))),
+        ({"a.png": ONES, "b.png": BYTES}, ONES / 255),  # all of a kind decide the level of 1
+        ({"a.npy": ONES.astype(np.int32), "b.npy": WORDS.astype(np.int32)}, ONES / 65535),
+        ({"a.png": Image.fromarray(MASK), "b.png": BYTES}, MASK),
+        ({"a.likelihood.png": ONES, "config.toml": ""}, ONES / 255),  # of infer, almost 0
     ],
-    ids=["0/1", "0/255", "16 bits", "1 bit", "rgb", "palette", "bool", "int", "bytes", "words"],
-)
-def test_a_mask_in_any_coding_is_a_mask(values: Image.Image | np.ndarray, tmp_path: Path) -> None:
-    if isinstance(values, Image.Image):
-        values.save(tmp_path / "a.png")
-    else:
-        np.save(tmp_path / "a.npy", values)
+)  # fmt: skip
+def test_maps_and_masks_in_any_coding_are_likelihoods(tmp_path, files, expected):
+    paths = [write(tmp_path / name, content) for name, content in files.items()]
 
-    assert torch.equal(
-        read_likelihood_map(tmp_path, ["a"], [(4, 6)]), torch.from_numpy(MASK).float()
-    )
+    maps = open_maps(tmp_path, DetectorSettings(), paths)
+    likelihood = maps.read_likelihood(["none", "a"], [RAMP.shape])
+
+    assert likelihood.dtype == torch.float32
+    assert np.abs(likelihood.numpy() - expected).max() < 1e-6
 
 
 def test_a_map_of_few_values_is_told(tmp_path: Path) -> None:
@@ -159,28 +133,6 @@ def test_a_map_of_few_values_is_told(tmp_path: Path) -> None:
     paths = [tmp_path / f"{name}.npy" for name in ("mask", "smooth", "classes")]
     with pytest.warns(UserWarning, match=r"only 3 values in maps of int64 in NumPy files; if"):
         open_maps(tmp_path, DetectorSettings(), paths)
-
-
-@pytest.mark.filterwarnings("ignore:.*has only 2")
-def test_all_maps_of_a_kind_decide_the_level_of_1(tmp_path: Path) -> None:
-    levels = {"a": np.round(RAMP * 255).astype(np.uint8), "b": MASK.astype(np.uint8)}
-    for name, values in levels.items():
-        Image.fromarray(values).save(tmp_path / f"{name}.png")
-        np.save(tmp_path / f"{name}16.npy", values.astype(np.int32) * 257)
-    Image.fromarray(MASK).save(tmp_path / "bits.png")
-
-    maps = open_maps(tmp_path, DetectorSettings(), sorted(tmp_path.iterdir()))
-
-    for name, brightest in {"b": 1 / 255, "b16": 1 / 255, "bits": 1.0}.items():
-        likelihood = maps.read_likelihood([name], [(4, 6)])
-        assert float(likelihood.max()) == pytest.approx(brightest)
-
-
-def test_likelihoods_of_infer_that_are_almost_0_are_no_mask(tmp_path: Path) -> None:
-    (tmp_path / "config.toml").touch()
-    Image.fromarray(MASK.astype(np.uint8)).save(tmp_path / "a.likelihood.png")
-
-    assert float(read_likelihood_map(tmp_path, ["a"], [(4, 6)]).max()) == pytest.approx(1 / 255)
 
 
 # --- drawn shapes -----------------------------------------------------------------------

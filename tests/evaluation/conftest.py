@@ -11,10 +11,10 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation import metrics, uncertainty
+from roadtorch.evaluation.evaluate import tally_images
 from roadtorch.evaluation.methods import Contender, Predictor
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.result import DetectorScores, summarise
-from roadtorch.evaluation.scoring import score_dataset
 from roadtorch.evaluation.tally import Tally
 from roadtorch.testing.scenes import RenderedScene, render_scene
 from tests.streets import write_camvid
@@ -57,11 +57,9 @@ def answering(likelihood: Answer, **cues: Answer) -> Predictor:
 
 def tally_of(dataset: Dataset, look: Predictor) -> Tally:
     """Count one detector on every image of a set."""
-    total = Tally()
-    for result in score_dataset(dataset, [Contender("it", lambda _: look)]):
-        assert not result.failure
-        total.add(result.item, result.counts["it"])
-    return total
+    tallies, failures = tally_images(dataset, [Contender("it", lambda _: look)], 1, quiet=True)
+    assert not failures
+    return tallies["it"]
 
 
 def scores_of(tally: Tally, threshold: float = 0.5) -> DetectorScores:

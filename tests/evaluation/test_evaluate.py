@@ -156,7 +156,7 @@ def test_another_file_than_a_metrics_json_is_refused(camvid, tmp_path, text):
 def test_what_can_be_refused_is_refused_before_the_run(
     evaluation, camvid, tmp_path, monkeypatch, detector, options, message
 ):
-    monkeypatch.setattr(scoring, "ScoringTask", None)  # must not be reached
+    monkeypatch.setattr(scoring, "ItemTask", None)  # must not be reached
     write_json(tmp_path / "metrics.json", build_document(evaluation, ""))
     values = {"metrics.json": tmp_path / "metrics.json", "camvid": camvid}
     options = {key: values.get(str(value), value) for key, value in options.items()}

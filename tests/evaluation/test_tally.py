@@ -10,8 +10,9 @@ import torch
 from roadtorch.data.dataset import LabelledItem, subsample_dataset
 from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.methods import Contender, collect_contenders, contender_from_name
-from roadtorch.evaluation.scoring import score_dataset
+from roadtorch.evaluation.methods import Contender, collect_contenders
+from roadtorch.evaluation.result import Failure
+from roadtorch.evaluation.scoring import run_contenders
 from roadtorch.evaluation.tally import Tally
 from tests.evaluation.conftest import GROUPS, answering, scores_of, tally_of
 
@@ -30,8 +31,9 @@ def test_one_image_more_costs_little_memory(dataset):
 
 def test_images_with_and_without_layout_may_be_mixed_in_any_order(dataset):
     item, tally = dataset.items[0], Tally()
-    with_layout = next(score_dataset(dataset, [Contender("it", lambda _: look)])).counts["it"]
-    assert with_layout.layout is not None
+    _, values = next(run_contenders(dataset, [Contender("it", lambda _: look)]))
+    assert not isinstance(values, Failure)
+    with_layout = values["it"]
     for index in range(200):  # more than there is room for at first, before and after
         is_shown = 90 <= index < 100
         counts = with_layout if is_shown else replace(with_layout, layout=None)
@@ -75,40 +77,29 @@ def test_counts_go_between_processes_whole_and_small() -> None:
 # --- scoring ----------------------------------------------------------------------------
 
 
-def test_results_keep_the_order_of_the_set_and_every_kth_spreads(dataset):
-    chosen = subsample_dataset(dataset, 3)
-
-    names = [
-        result.item.name
-        for result in score_dataset(chosen, [contender_from_name("prior:rows", {})])
-    ]
-
-    assert names == [dataset.items[i].name for i in (0, 2, 4)]
-
-
 def test_a_detector_that_breaks_is_named(dataset):
     def look(image, item):
         raise ZeroDivisionError("no road")
 
-    result = next(score_dataset(dataset, [Contender("mine", lambda _: look)]))
+    item, result = next(run_contenders(dataset, [Contender("mine", lambda _: look)]))
 
-    assert result.failure == "mine: ZeroDivisionError: no road"
+    assert result == Failure(item.name, item.group, "mine: ZeroDivisionError: no road")
 
 
-def test_two_processes_give_the_results_of_one(dataset):
-    methods = collect_contenders(dataset, (), {})  # the baselines
+def test_two_processes_give_the_results_of_one_in_order(dataset):
+    methods, chosen = collect_contenders(dataset, (), {}), subsample_dataset(dataset, 3)
 
-    serial, parallel = (
-        list(score_dataset(dataset, methods)),
-        list(score_dataset(dataset, methods, jobs=2)),
-    )
+    serial, parallel = (list(run_contenders(chosen, methods, jobs=jobs)) for jobs in (1, 2))
 
-    assert [result.item for result in serial] == [result.item for result in parallel]
-    for first, second in zip(serial, parallel, strict=True):
-        assert first.counts.keys() == second.counts.keys() == {method.name for method in methods}
-        for name, counts in first.counts.items():
-            assert torch.equal(counts.road.road, second.counts[name].road.road)
-            assert torch.equal(counts.road.background, second.counts[name].road.background)
+    assert [item for item, _ in serial] == [dataset.items[i] for i in (0, 2, 4)]
+    for (item, first), (item_again, second) in zip(serial, parallel, strict=True):
+        assert item == item_again
+        assert not isinstance(first, Failure)
+        assert not isinstance(second, Failure)
+        assert first.keys() == second.keys() == {method.name for method in methods}
+        for name, counts in first.items():
+            assert torch.equal(counts.road.road, second[name].road.road)
+            assert torch.equal(counts.road.background, second[name].road.background)
 
 
 # --- views ---------------------------------------------------------------------------------------
