@@ -49,9 +49,11 @@ def compare_masks(
         if isinstance(sides, Failure):
             failures.append(sides)
             continue
-        (first, *trusts), (second, second_trust) = sides.values()
-        difference, *roads = (float(m.double().mean()) for m in (first ^ second, first, second))
-        images.append(Disagreement(item, difference, *roads, *trusts, second_trust))
+        (first, trust), (second, second_trust) = sides.values()
+        difference, road, second_road = (
+            float(part.double().mean()) for part in (first ^ second, first, second)
+        )
+        images.append(Disagreement(item, difference, road, second_road, trust, second_trust))
     images.sort(key=lambda pair: (-pair.difference, pair.item.name))
     return Disagreements(dataset, methods, images, failures)
 

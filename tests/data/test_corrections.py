@@ -16,7 +16,6 @@ from roadtorch.data.events import (
     Redo,
     Undo,
     layout_layer,
-    parse_event,
     relabel,
     replay,
     road_layer,
@@ -116,24 +115,6 @@ def test_confirming_labels_the_remaining_pixels() -> None:
     rows, columns = [0, 19, 19, 8, 12], [0, 0, 10, 22, 22]
     expected = ["void", "not_road", "road", "not_road_horizontal", "road"]
     assert [LABEL_NAMES[label] for label in labels[rows, columns]] == expected
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        '{"kind":"brush","id":"a","label":"rode","points":[[1,2]],"radius":1}',
-        '{"kind":"brush","id":"a/../b","label":"road","points":[[1,2]],"radius":1}',
-        '{"kind":"polygon","id":"a","label":"road","points":[[1,2],[NaN,3],[4,5]]}',
-        '{"kind":"undo","id":"a","of":"b","extra":1}',
-        f'{{"kind":"confirm","id":"a","counts":[{2**70},1]}}',
-        '{"kind":"import","id":"a","labels":{"cat":[0,1]}}',
-    ],
-)
-def test_invalid_events_are_refused_in_one_line(text: str) -> None:
-    with pytest.raises(InputError, match=r"^stroke: is not a correction event") as caught:
-        parse_event(text, "stroke")
-    assert "\n" not in str(caught.value)
 
 
 # --- logs -------------------------------------------------------------------------------

@@ -61,7 +61,7 @@ def scores(dataset: Dataset, item: LabelledItem, likelihood: torch.Tensor) -> tu
 def test_cells_without_a_pixel_are_void(kitti):
     dataset = use_birds_eye_view(open_kitti_road(kitti, "road"))
     item = dataset.items[0]
-    assert dataset.levels == 256
+    assert (dataset.levels, dataset.space_name) == (256, "bird's-eye view")
     assert dataset.scoring_space is not None
 
     unseen = ~dataset.scoring_space(item, torch.ones(HEIGHT, WIDTH, dtype=torch.bool))

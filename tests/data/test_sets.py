@@ -14,7 +14,7 @@ from PIL import Image
 
 import roadtorch.base.plugins
 import roadtorch.data.catalogue
-from roadtorch.base.errors import ConfigError, DatasetError, RoadtorchError
+from roadtorch.base.errors import DatasetError
 from roadtorch.data.camvid import CLASSES11, COLOURS32, segnet_split
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, DatasetFormat, LabelledItem, Truth, leave_out
@@ -214,12 +214,6 @@ def test_coco_beside_images_is_a_set_and_images_without_a_region_are_left_out(tm
     assert [item.name for item in dataset.items] == ["a"]
     assert dataset.truth(dataset.items[0]).road[0].tolist() == [False, True, False]
     assert "1 of 2 images have a mask, none for b.jpg; road is lane (33.3 %)" in dataset.summary
-    for name, message in {
-        "folder": r"try --road lane",
-        "camvid": "--road: is not for the set",
-    }.items():
-        with pytest.raises(RoadtorchError, match=message):
-            open_dataset(name, tmp_path, road=["lane"] if name == "camvid" else ())
 
 
 # --- conditions of folders -----------------------------------------------------------------------
@@ -286,19 +280,6 @@ def test_groups_left_out_stay_in_the_set_but_in_no_condition(root):
     assert dataset.left_out == {"far"}
     assert set(dataset.items_by_condition()) == {"day", "bonnet"}
     assert leave_out(whole, ()) == whole
-
-
-@pytest.mark.parametrize(
-    ("folder", "groups", "message"),
-    [
-        (".", ["fra"], r"fra: unknown group of folder \(did you mean far"),
-        (".", ["far", "near"], "--leave-out: leaves out every group"),
-        ("far", ["far"], "which has no groups"),
-    ],
-)
-def test_what_cannot_be_left_out_is_refused(root, folder, groups, message):
-    with pytest.raises(ConfigError, match=message):
-        leave_out(open_dataset("folder", root / folder), groups)
 
 
 # --- the examples of docs/evaluation.md ----------------------------------------------------------

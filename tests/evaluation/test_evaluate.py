@@ -1,6 +1,7 @@
 """`evaluate` from Python: detectors, thresholds, images."""
 
 import json
+import math
 from dataclasses import replace
 
 import cv2
@@ -10,7 +11,7 @@ import torch
 
 from roadtorch.base.atomic import write_json
 from roadtorch.base.errors import ConfigError, DatasetError, InputError, UnscorableError
-from roadtorch.base.image import read_image, write_rgb
+from roadtorch.base.image import read_image
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, leave_out
 from roadtorch.detectors.catalogue import load_detector
@@ -20,6 +21,7 @@ from roadtorch.evaluation.report.files import build_document
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.tally import UNGROUPED
 from roadtorch.testing.scenes import write_image
+from tests.data.conftest import write
 from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, register_oracle, write_set
 
 
@@ -165,48 +167,33 @@ def test_what_can_be_refused_is_refused_before_the_run(
         evaluate(camvid, [detector], **options)
 
 
-def test_when_no_image_can_be_scored_there_is_one_error(camvid, tmp_path):
-    root = write_set(tmp_path / "camvid")
-    for path in root.glob("*/*.png"):
-        if "annot" not in path.parent.name:
-            path.write_bytes(b"x")
-    first = leave_out(camvid, [GROUPS[0]])
+@pytest.mark.parametrize(
+    ("masks", "maps", "error", "message"),
+    [
+        ({"a": 0}, None, UnscorableError, "no label has any road"),
+        ({"a": 0, "b": 1}, {"a": 0, "b": math.nan}, UnscorableError,
+         r"no label has any road in the 1 .*b\.npy: holds NaN"),
+        ({"a": 1}, {"a": math.nan}, DatasetError, r"none of the 1 images .*a\.npy: holds NaN"),
+        ({"a": 1}, {}, InputError, "has a likelihood map of none of 1 images"),
+    ],
+)  # fmt: skip
+def test_a_set_that_cannot_be_scored_is_one_error(tmp_path, masks, maps, error, message):
+    for name, level in masks.items():
+        for folder in ("images", "masks"):
+            write(tmp_path / f"{folder}/{name}.png", np.full((16, 16), 255 * level, np.uint8))
+    (tmp_path / "maps").mkdir()
+    for name, level in (maps or {}).items():
+        np.save(tmp_path / f"maps/{name}.npy", np.full((16, 16), float(level)))
+    detector = "prior:rows" if maps is None else str(tmp_path / "maps")
 
-    with pytest.raises(DatasetError, match="none of the 6 images"):
-        evaluate(open_dataset("camvid", root), ["prior:rows"])
+    with pytest.raises(error, match=message) as caught:
+        evaluate(open_dataset("folder", tmp_path), [detector])
+    assert type(caught.value) is error
+
+
+def test_at_least_one_group_has_to_be_scored(camvid):
     with pytest.raises(DatasetError, match="all groups are left out"):
-        evaluate(first, ["prior:rows"], limit=1)
-
-
-def test_labels_without_any_road_are_an_error(tmp_path):
-    for folder in ("images", "masks"):
-        (tmp_path / folder).mkdir()
-        image = next(iter(SCENES.values())).image
-        write_rgb(tmp_path / folder / "a.png", image if folder == "images" else 0 * image)
-
-    with pytest.raises(UnscorableError, match="no label has any road") as caught:
-        evaluate(open_dataset("folder", tmp_path), ["prior:rows"])
-    assert caught.value.exit_code == 1
-
-
-def test_failed_maps_are_named_where_no_other_image_has_road(tmp_path):
-    for name, level in (("a", 0.0), ("b", 1.0)):
-        np.save(tmp_path / f"{name}.npy", np.full((16, 16), np.nan if level else 0.0))
-        for folder in (tmp_path / "images", tmp_path / "masks"):
-            folder.mkdir(exist_ok=True)
-            write_rgb(folder / f"{name}.png", torch.full((3, 16, 16), level))
-
-    with pytest.raises(
-        UnscorableError, match=r"no label has any road in the 1 .*b\.npy: holds NaN"
-    ):
-        evaluate(open_dataset("folder", tmp_path), [str(tmp_path)])
-
-
-def test_a_folder_without_maps_is_refused_before_the_run(plain, tmp_path):
-    (tmp_path / "detector.toml").write_text('detector = "fusion"')  # any folder of another kind
-
-    with pytest.raises(InputError, match="has a likelihood map of none of 6 images"):
-        evaluate(plain, [str(tmp_path)])
+        evaluate(leave_out(camvid, [GROUPS[0]]), ["prior:rows"], limit=1)
 
 
 # --- groups left out, conditions -----------------------------------------------------------------

@@ -149,31 +149,6 @@ def test_measures_equal_those_of_the_development_kit(name, k, max_f, ap, pre, re
     assert [float(rate(outcome)) for rate in rates] == pytest.approx([pre, rec, fpr], abs=6e-7)
 
 
-# Every case and threshold for which the kit's counts are known: k → (FN, FP).
-KITTI_COUNTED = {
-    "first": {0: (0, 1025), 64: (0, 828), 96: (0, 605), 128: (49, 365), 192: (411, 0)},
-    "second": {0: (0, 1036), 64: (0, 850), 96: (0, 655), 128: (54, 426), 160: (228, 191)},
-    "pooled": {0: (0, 2061), 64: (0, 1678), 128: (103, 791), 192: (814, 0), 255: (1515, 0)},
-    "all valid": {1: (0, 1160), 128: (49, 415), 160: (211, 188), 255: (765, 0)},
-    "binary": {0: (0, 1025), 1: (49, 365), 128: (49, 365), 255: (49, 365)},
-    "and a frame without road": {0: (0, 2889), 160: (211, 960), 224: (587, 252), 255: (764, 75)},
-    "perfect": {0: (0, 1025), 1: (0, 0), 255: (0, 0)},
-    "constant": {64: (0, 1025), 96: (839, 0), 255: (839, 0)},
-}
-
-
-@pytest.mark.parametrize("name", KITTI_COUNTED)
-def test_counts_of_the_development_kit_at_single_thresholds(name):
-    outcomes = {k: metrics.confusion_at(kitti_cases()[name], k / 255) for k in KITTI_COUNTED[name]}
-
-    errors = {
-        k: (int(outcome.false_negative), int(outcome.false_positive))
-        for k, outcome in outcomes.items()
-    }
-
-    assert errors == KITTI_COUNTED[name]
-
-
 def test_8_bit_maps_score_the_same_at_16_bits():
     scores, road, valid = kitti_frame(0)
     fine, coarse = kitti_counts(scores, road, valid, metrics.DEFAULT_LEVELS), kitti_cases()["first"]

@@ -3,13 +3,11 @@
 import os
 import re
 from dataclasses import replace
-from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 
-from roadtorch.data.kitti_road import BirdsEyeView
 from roadtorch.evaluation.report.files import write_report
 from roadtorch.evaluation.report.montage import caption_tile
 from roadtorch.evaluation.result import Evaluation, Failure
@@ -37,17 +35,6 @@ def test_a_whole_page_is_as_it_was(oracle_run: Evaluation, tmp_path: Path) -> No
     if os.environ.get("UPDATE_GOLDEN"):
         GOLDEN.write_text(page, encoding="utf-8")
     assert page == GOLDEN.read_text(encoding="utf-8")
-
-
-def test_the_page_names_the_space_in_which_the_set_is_scored(
-    oracle_run: Evaluation, tmp_path: Path
-) -> None:
-    dataset = replace(oracle_run.dataset, scoring_space=BirdsEyeView(tmp_path))
-
-    write_report(replace(oracle_run, dataset=dataset), tmp_path, images=0)
-
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert f"scored in {BirdsEyeView.name};" in unescape(page)
 
 
 class Tags(HTMLParser):

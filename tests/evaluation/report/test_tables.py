@@ -96,26 +96,6 @@ def test_groups_that_are_left_out_are_listed_below_the_mean() -> None:
     assert [row.split("  ")[0] for row in rows] == [*GROUPS[1:], "mean", "0001TP (left out)"]
 
 
-def test_conditions_have_a_table_and_baselines_none() -> None:
-    evaluation = make_run(["fusion", "prior:rows"])
-    items = tuple(
-        replace(item, conditions=("day", "night") if item.group == GROUPS[0] else ("day",))
-        for item in evaluation.dataset.items
-    )
-    evaluation = replace(evaluation, dataset=replace(evaluation.dataset, items=items))
-    for name in evaluation.detectors:
-        parts = {"day": {"f_mask": 0.8, "maxf": 0.9}, "night": {"f_mask": 0.3, "maxf": 0.5}}
-        evaluation = replace_scores(evaluation, name, conditions=parts)
-
-    tables = texts(evaluation)
-
-    assert [line.split("  ")[0] for line in tables["fusion by condition"].splitlines()] == [
-        *("fusion by condition", "night (1 group)", "day (3 groups)")
-    ]
-    assert tables["fusion by condition"].splitlines()[1].split()[-3:] == ["0.300", "0.500", "0.500"]
-    assert "prior:rows by condition" not in tables
-
-
 def test_only_detectors_with_trust_have_a_row_of_it() -> None:
     run = make_run(["fusion", "cpf"])
     headline = run.detectors["cpf"].headline
