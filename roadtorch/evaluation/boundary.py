@@ -36,50 +36,39 @@ def count_boundary(
     the tolerance of a true one, all predicted ones, true ones within it of a predicted one, all
     true ones.
     """
-    predicted, (true, to_true) = boundary_pixels(mask, valid).numpy(), true_boundary(road, valid)
+    predicted, (true, to_true) = boundary_pixels(mask, valid), true_boundary(road, valid)
     diagonal = math.hypot(*mask.shape)
-    window = _bounding_slices(true, math.ceil(max(tolerances) * diagonal))
+    margin = math.ceil(max(tolerances) * diagonal)  # farther pixels are not within any tolerance
+    left, top, width, height = cv2.boundingRect(true.view(np.uint8))
+    rows = slice(max(0, top - margin), top + height + margin)
+    window = rows, slice(max(0, left - margin), left + width + margin)
     distances = to_true[predicted], _distance_transform(predicted[window])[true[window]]
     # Squared distances are integers. Without rounding, OpenCV's last digit, which depends on its
     # threads, would decide about pixels exactly at the tolerance.
     forward, backward = (np.rint(np.square(part)) for part in distances)
-    rows = [
+    sums = [
         [(forward <= limit).sum(), predicted.sum(), (backward <= limit).sum(), true.sum()]
         for limit in ((tolerance * diagonal) ** 2 + 1e-6 for tolerance in tolerances)
     ]
-    return torch.tensor(np.array(rows, np.int64))
+    return torch.tensor(np.array(sums, np.int64))
 
 
-def boundary_pixels(mask: Tensor, valid: Tensor) -> Tensor:
+def boundary_pixels(mask: Tensor, valid: Tensor) -> np.ndarray:
     """Return the valid pixels of a mask (H, W) with a valid 4-neighbour outside it; bool (H, W).
 
     Where the mask meets void or the image border there is no boundary: whether the road ends there
     is unknown.
     """
-    inside, outside = mask & valid, ~mask & valid
-    touches_outside = torch.zeros_like(mask)
-    touches_outside[1:] |= outside[:-1]
-    touches_outside[:-1] |= outside[1:]
-    touches_outside[:, 1:] |= outside[:, :-1]
-    touches_outside[:, :-1] |= outside[:, 1:]
-    return touches_outside & inside
+    outside = (~mask & valid).numpy().view(np.uint8)
+    near_outside = cv2.dilate(outside, cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
+    return near_outside.view(np.bool_) & (mask & valid).numpy()
 
 
 @cached_per_image
 def true_boundary(road: Tensor, valid: Tensor) -> tuple[np.ndarray, np.ndarray]:
     """Return the boundary of the truth, bool (H, W), and the distance to it; cached per image."""
-    true = boundary_pixels(road, valid).numpy()
+    true = boundary_pixels(road, valid)
     return true, _distance_transform(true)
-
-
-def _bounding_slices(pixels: np.ndarray, margin: int) -> tuple[slice, slice]:
-    """Return the rows and columns of the True pixels (H, W), widened by a margin."""
-    spans = []
-    for axis in (1, 0):
-        indices = np.flatnonzero(pixels.any(axis))
-        first, last = (indices[0], indices[-1]) if len(indices) else (0, -1)
-        spans.append(slice(max(0, first - margin), last + margin + 1))
-    return spans[0], spans[1]
 
 
 def _distance_transform(pixels: np.ndarray) -> np.ndarray:
