@@ -104,7 +104,6 @@ def open_folder(
 # columns are ignored; images that it does not list have no condition.
 
 CONDITIONS_FILE = "pictures.csv"  # in the folder of a set
-_ItemKey = tuple[str, str]  # group of an image ("" in a set without groups) and its file name
 
 
 def add_conditions(dataset: Dataset, path: Path) -> Dataset:
@@ -113,31 +112,28 @@ def add_conditions(dataset: Dataset, path: Path) -> Dataset:
     Raises DatasetError naming the table, and the line where there is one, for a file that cannot be
     read, lacks a column, names an image that the set does not have, or names one twice.
     """
-    images = {_item_key(item): item for item in dataset.items}
+    keys = [_item_key(item.group, item.image.name) for item in dataset.items]
     columns = ["name", "file", "condition"] if dataset.groups() else ["file", "condition"]
-    conditions: dict[_ItemKey, tuple[str, ...]] = {}
+    conditions: dict[str, tuple[str, ...]] = {}
     for line, row in _read_rows(path, columns):
-        key = (row["name"] if dataset.groups() else "", normalize("NFC", row["file"]))
-        where, name = f"{path}, line {line}", _format_key(key)
-        if key not in images:
-            near = difflib.get_close_matches(name, map(_format_key, images), n=3, cutoff=0.5)
+        where = f"{path}, line {line}"
+        key = _item_key(row["name"] if dataset.groups() else None, row["file"])
+        if key not in keys:
+            near = difflib.get_close_matches(key, keys, n=3, cutoff=0.5)
             hint = f"did you mean {', '.join(near)}?" if near else "fix or remove that line"
-            raise DatasetError(where, f"there is no image {name}", hint)
+            raise DatasetError(where, f"there is no image {key}", hint)
         if key in conditions:
-            raise DatasetError(where, f"names {name} a second time", "keep one of the two lines")
+            raise DatasetError(where, f"names {key} a second time", "keep one of the two lines")
         conditions[key] = tuple(dict.fromkeys(row["condition"].split()))
-    items = (
-        replace(item, conditions=conditions.get(_item_key(item), ())) for item in dataset.items
-    )
+    pairs = zip(keys, dataset.items, strict=True)
+    items = (replace(item, conditions=conditions.get(key, ())) for key, item in pairs)
     return replace(dataset, items=tuple(items))
 
 
-def _item_key(item: LabelledItem) -> _ItemKey:
-    return item.group or "", normalize("NFC", item.image.name)
-
-
-def _format_key(key: _ItemKey) -> str:
-    return "/".join(filter(None, key))
+def _item_key(group: str | None, file: str) -> str:
+    """Return an image's name in a table of conditions: GROUP/FILE, or FILE without groups."""
+    name = normalize("NFC", file)
+    return f"{group}/{name}" if group else name
 
 
 def _read_rows(path: Path, columns: list[str]) -> Iterator[tuple[int, Mapping[str, str]]]:

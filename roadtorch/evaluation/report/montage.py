@@ -34,42 +34,33 @@ def write_montages(out: Path, evaluation: Evaluation, count: int) -> list[tuple[
     At most ``MAX_DETECTORS`` with the highest MaxF get one, baselines none. Returns captions and
     data URIs for the page.
     """
-    detectors = evaluation.detectors
+    detectors, dataset = evaluation.detectors, evaluation.dataset
     ranked = [name for name in evaluation.ranking() if not detectors[name].is_baseline]
-    montages = []
+    items, montages = {item.name: item for item in dataset.items}, list[tuple[str, str]]()
     for name in ranked[:MAX_DETECTORS]:
-        thresholds = detectors[name].thresholds
-        predictor = detectors[name].contender.prepare(evaluation.dataset)
-        order = rank_images(evaluation.tallies[name], detectors[name])
+        scores, predictor = detectors[name], detectors[name].contender.prepare(dataset)
+        order = rank_images(evaluation.tallies[name], scores)
         for part, images in select_examples(order, count).items():
-            if images:
-                path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"
-                pixels = draw_montage(evaluation.dataset, predictor, images, thresholds)
-                write_pixels(path, pixels)
+            rows = [
+                draw_montage_row(dataset, predictor, item, scores.thresholds, value)
+                for value, item in ((value, items[image]) for value, image in images)
+            ]
+            if rows:
+                width = max(row.shape[1] for row in rows)
+                pixels = np.concatenate(
+                    [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows]
+                )
+                write_pixels(out / f"montage.{name.replace(':', '-')}.{part}.jpg", pixels)
                 montages.append((f"{name}, {part}", jpeg_uri(_shrink(pixels))))
     return montages
 
 
-def draw_montage(
+def draw_montage_row(
     dataset: Dataset,
     predictor: Predictor,
-    chosen: Sequence[tuple[float, str]],
+    item: LabelledItem,
     thresholds: Mapping[str, float],
-) -> np.ndarray:
-    """Draw one montage, uint8 RGB (H, W, 3): a row of tiles for each chosen (F, image name)."""
-    by_name = {item.name: item for item in dataset.items}
-    rows = []
-    for value, name in chosen:
-        item = by_name[name]
-        threshold = thresholds[item.group or UNGROUPED]
-        rows.append(draw_montage_row(dataset, predictor, item, threshold, value))
-    width = max(row.shape[1] for row in rows)
-    rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows]
-    return np.concatenate(rows)
-
-
-def draw_montage_row(
-    dataset: Dataset, predictor: Predictor, item: LabelledItem, threshold: float, value: float
+    value: float,
 ) -> np.ndarray:
     """Draw image, layout, uniformity, likelihood and decision side by side, in the scored view."""
     image, truth = dataset.read(item)
@@ -77,7 +68,7 @@ def draw_montage_row(
     if detection.likelihood.shape != truth.road.shape:
         viewed = dataset.warp(item, spatial_size(image), image)
         truth = warp_truth(dataset, item, truth)
-    decided = detection.likelihood >= threshold
+    decided = detection.likelihood >= thresholds[item.group or UNGROUPED]
     tiles = {
         f"{item.name}  F {value:.3f}": to_pixels(image),
         **cue_tiles(detection),
