@@ -10,7 +10,7 @@ from PIL import Image
 from roadtorch.base.errors import ConfigError, DatasetError
 from roadtorch.data.masks import read_masks
 from tests.command import save_image
-from tests.data.conftest import Content, write
+from tests.data.conftest import write
 
 SIZE = (6, 8)
 ROAD, NOT_ROAD, VOID = 1, 2, 3
@@ -66,14 +66,7 @@ SWAPPED = {"a.png": picture(0, 1, palette=BLACK + RED),
         ({"a.tif": picture(0, 7, "I")}, ("7",), (), (NOT_ROAD, ROAD)),
     ],
 )
-def test_values_are_road_void_or_neither(
-    mask: Content | dict[str, Content],
-    road: tuple[str, ...],
-    void: tuple[str, ...],
-    labels: tuple[int, int],
-    images: dict[str, Path],
-    tmp_path: Path,
-) -> None:
+def test_values_are_road_void_or_neither(mask, road, void, labels, images, tmp_path):
     for name, content in (mask if isinstance(mask, dict) else {"a.png": mask}).items():
         write(tmp_path / "masks" / name, content)
 
@@ -103,13 +96,7 @@ def test_values_are_road_void_or_neither(
         ({"a.jpg": PAINTED}, (), "is a JPEG in colour"),
     ],
 )
-def test_masks_that_cannot_be_meant_are_refused(
-    files: dict[str, Content],
-    road: tuple[str, ...],
-    message: str,
-    images: dict[str, Path],
-    tmp_path: Path,
-) -> None:
+def test_masks_that_cannot_be_meant_are_refused(files, road, message, images, tmp_path):
     for name, content in files.items():
         write(tmp_path / "masks" / name, content)
 

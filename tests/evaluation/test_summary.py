@@ -136,19 +136,6 @@ def test_where_thresholds_come_from():
     assert choose_thresholds(contender, {"a": counts, "b": counts})[1]["a"] == 0.4
 
 
-def test_iou_is_taken_at_the_held_out_threshold(dataset, scenes):
-    def likelihood(name):  # one group's road is paler than the others' background
-        scale = 0.3 if name.startswith("0001TP") else 1.0
-        return scale * (0.4 + 0.6 * scenes[name].road)
-
-    scores = scores_of(tally_of(dataset, answering(likelihood)))
-
-    dusk = scores.groups["0001TP"]
-    assert dusk["maxf"] == pytest.approx(1)
-    assert dusk["threshold"] > 0.3
-    assert dusk["iou"] == 0
-
-
 # --- layout --------------------------------------------------------------------------------------
 
 
