@@ -167,33 +167,20 @@ def test_names_tell_the_splits_of_the_release(data_root):
 # --- folder --------------------------------------------------------------------------------------
 
 
-def grouped_set(root: Path) -> Dataset:
-    """Write two cameras: one with masks, one with road, void and one layout."""
-    image = np.zeros((1, 3, 3), np.uint8)
-    for name in ("near/images/a", "far/images/a", "far/images/b"):
-        write(root / f"{name}.png", image)
-    write(root / "near/masks/a.png", np.array([[0, 255, 127]], np.uint8))
-    for name in ("a", "b"):
-        write(root / f"far/road/{name}.png", np.array([[0, 1, 255]], np.uint8))
-    write(root / "far/layout/a.png", np.array([[0, 2, 255]], np.uint8))
-    (root / "notes").mkdir()
-    return open_dataset("folder", root)
+def test_a_folder_may_have_layouts_of_some_images(tmp_path):
+    for name in "ab":
+        write(tmp_path / f"images/{name}.png", np.zeros((1, 3, 3), np.uint8))
+        write(tmp_path / f"road/{name}.png", np.array([[0, 1, 255]], np.uint8))
+    write(tmp_path / "layout/a.png", np.array([[0, 2, 255]], np.uint8))
 
+    dataset = open_dataset("folder", tmp_path)
+    first, second = map(dataset.truth, dataset.items)
 
-def test_folders_of_images_and_labels_are_the_groups(tmp_path):
-    dataset = grouped_set(tmp_path)
-
-    assert [(item.name, item.group) for item in dataset.items] == [
-        ("far/a", "far"), ("far/b", "far"), ("near/a", "near")
-    ]  # fmt: skip
-    for item in dataset.items:
-        truth = dataset.truth(item)
-        assert truth.road[0].tolist() == [False, True, False], item.name
-        assert truth.valid[0].tolist() == [True, True, False], item.name
-    layouts = [dataset.truth(item).layout for item in dataset.items]
-    assert layouts[0] is not None
-    assert layouts[0][0].tolist() == [0, 2, 255]
-    assert layouts[1:] == [None, None]
+    for truth in (first, second):
+        assert truth.road[0].tolist() == [False, True, False]
+        assert truth.valid[0].tolist() == [True, True, False]
+    assert first.layout is not None
+    assert (first.layout[0].tolist(), second.layout) == ([0, 2, 255], None)
 
 
 def test_coco_beside_images_is_a_set_and_images_without_a_region_are_left_out(tmp_path):
@@ -229,6 +216,7 @@ far,b.png,,night rain night,3x1
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write two cameras; ``a`` is an image of both."""
     folder = tmp_path_factory.mktemp("set")
+    (folder / "notes").mkdir()  # no group
     for name in ("near/{}/a", "far/{}/a", "far/{}/b", "far/{}/c"):
         for part in ("images", "masks"):
             write(folder / f"{name.format(part)}.png", np.zeros((1, 3), np.uint8))

@@ -115,9 +115,8 @@ def test_likelihood_maps_are_scored_and_a_missing_one_fails_its_image_alone(camv
 
 
 def test_maps_may_have_the_folders_of_the_set(plain, tmp_path):
-    (tmp_path / "images").mkdir()
     for name, scene in SCENES.items():
-        cv2.imwrite(str(tmp_path / "images" / f"{name}.png"), 255 * scene.road.numpy())
+        write(tmp_path / f"images/{name}.png", 255 * scene.road.numpy().astype(np.uint8))
 
     run = evaluate(plain, [f"net={tmp_path}"])
 
