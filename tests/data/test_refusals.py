@@ -46,19 +46,23 @@ def grey(*values: int, kind: type = np.uint8) -> np.ndarray:
 BLACK = np.zeros((1, 1, 3), np.uint8)
 GREEN = np.array([3, 9, 1], np.uint8)
 
+
+def pairs(root: Path) -> object:
+    return [*pair_files(root / "images", root / "labels", "_L.png")]
+
+
 LABEL_IMAGES: Rows = [
-    (partial(truth, NUMBERS), {"a.png": grey(0, 3, 77, 77, 255)}, "a.png",
-     r"values 77 \(2 pixels\), 3 \(1 pixels\), 255 .*\(known: 0, 1, 5, 7, 9"),
+    (partial(truth, NUMBERS), {"a.png": grey(0, 3, 77, 77, 255)}, "a.png", r"77 \(2 .*known: 0,"),
     (partial(truth, NUMBERS), {"a.png": BLACK + GREEN}, "a.png", "a colour image"),
-    (partial(truth, COLOURS), {"a.png": BLACK + GREEN}, "a.png",
-     r"values #030901 \(1 pixels\)"),
-    (lambda root: [*pair_files(root / "images", root / "labels", "_L.png")],
-     {"images/a.png": BLACK, "images/b.jpg": BLACK, "labels/x": ""}, "labels/a_L.png",
-     "is missing, 2 of 2"),
-    (lambda root: [*pair_files(root / "images", root / "labels", "_L.png")],
-     {"images/a.png": BLACK, "images/a.bmp": BLACK, "labels/a_L.png": BLACK}, "a.png",
-     r"has the name of a\.bmp"),
-]  # fmt: skip
+    (partial(truth, COLOURS), {"a.png": BLACK + GREEN}, "a.png", r"values #030901 \(1 pixels\)"),
+    (pairs, {"images/a.png": BLACK, "images/b.jpg": BLACK, "labels/x": ""}, "a_L.png", "2 of 2"),
+    (
+        pairs,
+        {"images/a.png": BLACK, "images/a.bmp": BLACK, "labels/a_L.png": BLACK},
+        "a.png",
+        "bmp",
+    ),
+]
 
 # --- sets -------------------------------------------------------------------------------
 
@@ -71,31 +75,22 @@ def first_truth(name: str, folder: Path) -> object:
 FRAME = {"images/0016E5_00390.png": BLACK, "labels/0016E5_00390_L.png": BLACK}
 STREET = {"images/street_1.png": BLACK, "labels/street_1_L.png": BLACK}
 KITTI = {"image_2/um_000000.png": BLACK, "gt_image_2/um_road_000000.png": BLACK}
+WIDE = np.zeros((2, 3), np.uint8)
 
 SETS: Rows = [
-    (lambda folder: open_dataset("camvid", folder, "test"), {"train/a.png": BLACK}, "testannot",
-     "does not exist"),
     (partial(open_dataset, "camvid32"), {}, "", "no CamVid in 32 colours .*LabeledApproved_full"),
-    (lambda folder: open_dataset("camvid32", folder, "test"), FRAME, "",
-     "holds no images of the split test"),
-    (partial(open_dataset, "camvid32"), FRAME | STREET, "street_1",
-     "is not the name of a CamVid frame"),
-    (partial(first_truth, "idd-lite"),
-     {"images/a.png": np.zeros((2, 3), np.uint8), "labels/a.png": grey(0)},
+    (partial(open_dataset, "camvid", split="test"), {"train/a.png": BLACK}, "testannot", "exist"),
+    (partial(open_dataset, "camvid32", split="test"), FRAME, "", "no images of the split test"),
+    (partial(open_dataset, "camvid32"), FRAME | STREET, "street_1", "of a CamVid frame"),
+    (partial(first_truth, "idd-lite"), {"images/a.png": WIDE, "labels/a.png": BLACK[..., 0]},
      "a.png", "is 1 by 1 .* 3 by 2"),
     (partial(first_truth, "folder"),
-     {"images/a.png": np.zeros((1, 3), np.uint8), "masks/a.png": grey(0, 1, 255)},
-     "masks", "both 1 and 255"),
-    (partial(first_truth, "folder"),
-     {"images/a.png": np.zeros((1, 2), np.uint8), "road/a.png": grey(0, 1),
-      "layout/a.png": grey(0, 1, 2)},
-     "layout/a.png", r"has 3 by 1 pixels \(scale it to its image, 2 by 1"),
+     {"images/a.png": WIDE[:1, :2], "road/a.png": grey(0, 1), "layout/a.png": grey(0, 1, 2)},
+     "layout/a.png", "has 3 by 1 .*2 by 1"),
     (partial(open_dataset, "cityscapes"), {"leftImg8bit/val/x": "", "gtFine/val/x": ""},
      "leftImg8bit/val", r"holds no images CITY/\*_leftImg8bit\.png"),
-    (partial(open_dataset, "kitti-road"), {**KITTI, "image_2/thumb.png": BLACK},
-     "thumb", "is not the name of a KITTI road image"),
-    (lambda folder: use_birds_eye_view(open_dataset("kitti-road", folder)), KITTI, "calib",
-     "does not exist"),
+    (partial(open_dataset, "kitti-road"), {**KITTI, "image_2/thumb.png": BLACK}, "thumb", "KITTI"),
+    (lambda folder: use_birds_eye_view(open_dataset("kitti-road", folder)), KITTI, "calib", ""),
 ]  # fmt: skip
 
 # --- tables of conditions ---------------------------------------------------------------
@@ -187,16 +182,15 @@ LOGS: Rows = [
     ]
 ] + [
     (lambda folder: read_corrections(folder / "missing"), {}, "missing", "is not a folder"),
-    (partial(read_format, "png"), {"labels/a.png": grey(8, 7)}, "labels/a.png",
-     r"has other values than 0 to 7 \(0 is untouched, 1 road"),
-    (partial(read_format, "png"), {"labels/a.png": grey(0, 0, 0)}, "labels/a.png",
-     r"has 3 by 1 pixels \(scale it to its image, 2 by 1"),
+    (partial(read_format, "png"), {"labels/a.png": grey(8, 7)}, "a.png", "values than 0 to 7"),
+    (partial(read_format, "png"), {"labels/a.png": grey(0, 0, 0)}, "a.png", "3 by 1 .*2 by 1"),
     (partial(read_format, "png"), {}, "", "has no file for any of the images"),
 ]  # fmt: skip
 
 # --- maps -------------------------------------------------------------------------------
 
 RAMP = np.linspace(0, 1, 24).reshape(4, 6)
+BYTES = (RAMP * 255).astype(np.uint8)
 
 
 def read_map(folder: Path) -> object:
@@ -215,22 +209,14 @@ MAPS: Rows = [
     ]
 ] + [
     (read_map, {}, "m.png", "is missing"),
-    (
-        read_map,
-        {"m.png": (RAMP * 255).astype(np.uint8), "m.npy": 1 - RAMP},
-        "m.npy",
-        r"differs from m\.png",
-    ),
+    (read_map, {"m.png": BYTES, "m.npy": 1 - RAMP}, "m.npy", r"differs from m\.png"),
 ]
 
 
 OPTIONS: Rows = [
-    (lambda folder: open_dataset("camvid", folder, "trian"), {}, "trian",
-     "unknown split of camvid .*train"),
-    (lambda folder: use_birds_eye_view(open_dataset("camvid32", folder)), FRAME, "camvid32",
-     "has no bird's-eye view"),
-    (lambda folder: open_dataset("camvid32", folder, road=["1"]), FRAME, "--road",
-     "is not for the set"),
+    (partial(open_dataset, "camvid", split="trian"), {}, "trian", "split of camvid .*train"),
+    (partial(open_dataset, "camvid32", road=["1"]), FRAME, "--road", "is not for the set"),
+    (lambda folder: use_birds_eye_view(open_dataset("camvid32", folder)), FRAME, "camvid32", ""),
     *((lambda folder, part=part, groups=groups: leave_out(open_dataset("folder", folder / part),
        groups), CAMERAS, where, problem)
       for part, groups, where, problem in [
@@ -238,10 +224,8 @@ OPTIONS: Rows = [
           (".", ["n", "f"], "--leave-out", "leaves out every group"),
           ("f", ["f"], "--leave-out", "which has no groups"),
       ]),
-    (lambda _: NumberLabels(road=(2,), void=(), values=(0, 1)), {}, "NumberLabels",
-     "not among its values"),
-    (lambda _: NumberLabels(road=(1,), void=(1,), values=(0, 1)), {}, "NumberLabels",
-     "is road and void"),
+    (lambda _: NumberLabels((2,), (), (0, 1)), {}, "NumberLabels", "not among its values"),
+    (lambda _: NumberLabels((1,), (1,), (0, 1)), {}, "NumberLabels", "is road and void"),
 ]  # fmt: skip
 
 REFUSALS = [
