@@ -6,7 +6,7 @@ import pickle
 import re
 import socket
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from tempfile import TemporaryDirectory
@@ -42,34 +42,33 @@ class Actor:
 class RayWorker:
     """An actor with one CPU, and one GPU where the device is CUDA."""
 
-    def __init__(self, device: str, is_cluster: bool, task: TaskFunction) -> None:
-        import ray
-
-        self._ray: Any = ray
-        threads = Threads.current()
-        # OpenMP and BLAS read it before torch is loaded; Ray's default is one thread. Workers of a
-        # local cluster inherit the environment of this process.
-        variables = {"OMP_NUM_THREADS": str(threads.torch)}
-        options: dict[str, Any] = {"num_cpus": 1}
-        options |= {"num_gpus": 1} if device.startswith("cuda") else {}
-        options |= {"runtime_env": {"env_vars": variables}} if is_cluster else {}
+    def __init__(self, ray: Any, options: dict[str, Any], task: TaskFunction) -> None:
+        self._ray, self.result = ray, None
         data = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
-        self._actor: Any = self._ray.remote(**options)(Actor).remote(data, threads)
+        self._actor = ray.remote(**options)(Actor).remote(data, Threads.current())
 
-    def run(self, item: object) -> Any:
-        """Return the result of an item; WorkerCrashError if the actor died."""
+    def send(self, item: object) -> None:
+        """Let the actor process an item."""
+        self.result = self._actor.work.remote(pickle_value(item)[0])
+
+    def receive(self) -> Any:
+        """Return the result of the item; WorkerCrashError if the actor died."""
         from ray.exceptions import OutOfMemoryError, RayActorError
 
         try:
-            result = self._ray.get(self._actor.work.remote(pickle_value(item)[0]))
+            return pickle.loads(self._ray.get(self.result))
         except (RayActorError, OutOfMemoryError):
             raise WorkerCrashError from None
-        return pickle.loads(result)
 
     def stop(self) -> None:
         """Kill the actor."""
         with suppress(Exception):  # the actor or the whole cluster has already ended
             self._ray.kill(self._actor)
+
+
+def _wait(ray: Any, workers: Iterable[RayWorker], timeout: float | None) -> list[RayWorker]:
+    by_result = {worker.result: worker for worker in workers}
+    return [by_result[result] for result in ray.wait([*by_result], timeout=timeout)[0]]
 
 
 @contextmanager
@@ -79,15 +78,20 @@ def ray_workers(workers: int, address: str | None, device: str) -> Iterator[Work
     address: of the cluster; None starts one on this machine. Raises ConfigError where Ray is not
     installed, or no cluster answers.
     """
-    # Inherited by the processes of a local cluster.
-    os.environ.update(QUIET_VARIABLES, OMP_NUM_THREADS=str(Threads.current().torch))
+    # OpenMP and BLAS read the number before torch is loaded; Ray's default is one thread. Workers
+    # of a local cluster inherit the environment of this process.
+    threads = {"OMP_NUM_THREADS": str(Threads.current().torch)}
+    os.environ.update(QUIET_VARIABLES, **threads)
+    options: dict[str, Any] = {"num_cpus": 1}
+    options |= {"num_gpus": 1} if device.startswith("cuda") else {}
+    options |= {"runtime_env": {"env_vars": threads}} if address is not None else {}
     with TemporaryDirectory(prefix="rt-", ignore_cleanup_errors=True) as folder:
         ray = _import_ray()
         try:
             # A cluster that ended at once would end this process before it has saved results.
             with _silence_stderr(), block_sigint_in_children():
                 _connect(ray, workers, address, folder)
-            yield Workers(workers, partial(RayWorker, device, address is not None))
+            yield Workers(workers, partial(RayWorker, ray, options), partial(_wait, ray))
         finally:
             ray.shutdown()
 

@@ -5,7 +5,6 @@ of torch, so that two threads of one process are hardly faster than one. Each wo
 of torch threads of this process, so that results are the same to the byte.
 """
 
-import copyreg
 import gc
 import io
 import os
@@ -13,25 +12,23 @@ import pickle
 import signal
 import sys
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
 from mmap import mmap
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
+from multiprocessing import connection, get_context
 from multiprocessing.util import Finalize
-from typing import Any, Protocol, TypeVar
+from time import monotonic
+from typing import Any, TypeVar
 
 import torch
-from torch import Tensor
 
 from roadtorch.base.compute import Threads, check_device, keep_freed_memory
 from roadtorch.base.errors import InputError
 from roadtorch.base.signals import STOP_SIGNALS, block_sigint_in_children, end_with_parent
 
-_Memory = mmap | bytearray
+_Memory = mmap | bytearray | memoryview
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
@@ -50,32 +47,26 @@ SHUTDOWN_TIMEOUT = 10.0  # seconds that a worker gets to finish its item, before
 WORKER_CRASH = ("its worker process died", "run it again, with --jobs 1 if memory is short")
 """Problem and hint of an item whose worker process died."""
 
+TaskFunction = Callable[[Any], Any]
+"""A function of an item; it is pickled for other processes."""
+
 
 class WorkerCrashError(Exception):
     """A worker died during its item."""
-
-
-class _Worker(Protocol):
-    """A worker of one task; ``run`` raises WorkerCrashError where it died, ``stop`` ends it."""
-
-    def run(self, item: object) -> Any: ...
-
-    def stop(self) -> None: ...
-
-
-TaskFunction = Callable[[Any], Any]
-"""A function of an item; it is pickled for other processes."""
 
 
 @dataclass(frozen=True)
 class Workers:
     """Workers: ``jobs`` processes (one: this process itself), or what ``start`` makes for a task.
 
-    A worker has at most one item, so that its death costs only that.
+    A worker has at most one item, so that its death costs only that: it gets one by ``send``, and
+    ``receive`` returns the result, or raises WorkerCrashError. ``wait`` returns those of several
+    workers that have one, after a timeout in seconds at the latest; ``stop`` ends a worker.
     """
 
     jobs: int = 1
-    start: Callable[[TaskFunction], _Worker] | None = None
+    start: Callable[[TaskFunction], Any] | None = None
+    wait: Callable[[Any, float | None], Iterable[Any]] = connection.wait
 
     def map(
         self,
@@ -94,92 +85,58 @@ class Workers:
         if self.start is None and self.jobs == 1:
             yield from map(task, items)
             return
-        pool = _Pool(partial(self.start or partial(_Process, Threads.current()), task), self.jobs)
-        pending: deque[tuple[_Item, Future[_Result]]] = deque()
-        errors: list[Exception] = []
+        items, end = iter(items), None
+        workers, idle = list[Any](), list[Any]()
+        busy: dict[Any, tuple[_Item, Future[_Result]]] = {}
+        pending: deque[Future[_Result]] = deque()
 
-        def read() -> Iterator[_Item]:
-            try:
-                yield from items
-            except Exception as error:  # raised after the results of earlier items
-                errors.append(error)
+        def start() -> Any:
+            workers.append((self.start or _Process)(task))
+            return workers[-1]
 
-        def running() -> list[Future[_Result]]:
-            return [future for _, future in pending if not future.done()]
-
-        def take() -> _Result:
-            item, future = pending.popleft()
-            try:
-                return future.result()
-            except WorkerCrashError:
-                return on_crash(item)
+        def collect(timeout: float | None = None) -> None:
+            for worker in self.wait([*busy], timeout):
+                item, future = busy.pop(worker)
+                try:
+                    future.set_result(worker.receive())
+                except WorkerCrashError:
+                    future.set_result(on_crash(item))
+                    worker.stop()
+                    continue
+                except Exception as error:
+                    future.set_exception(error)
+                idle.append(worker)
 
         try:
-            pool.fill()  # before the first item is read: no process inherits a decoder's threads
-            for item in read():
-                pending.append((item, pool.submit(item)))
-                while (live and pending and pending[0][1].done()) or (
-                    len(running()) == self.jobs or len(pending) == MAX_AHEAD * self.jobs
-                ):
-                    if pending[0][1].done():
-                        yield take()
-                    else:
-                        wait(running(), return_when=FIRST_COMPLETED)
-            while pending:
-                yield take()
-            if errors:
-                raise errors[0]
+            # Before the first item is read: no process inherits a decoder's threads.
+            idle += [start() for _ in range(self.jobs)]
+            while pending or end is None:
+                collect(0)
+                is_full = len(busy) == self.jobs or len(pending) == MAX_AHEAD * self.jobs
+                if pending and pending[0].done() and (live or is_full or end):
+                    yield pending.popleft().result()
+                elif is_full or end:
+                    collect()
+                else:
+                    try:
+                        item = next(items)
+                    except Exception as error:  # StopIteration, or raised after earlier results
+                        end = error
+                        continue
+                    worker = idle.pop() if idle else start()
+                    worker.send(item)
+                    pending.append(Future())
+                    busy[worker] = item, pending[-1]
+            if not isinstance(end, StopIteration):
+                raise end
         finally:
+            latest = monotonic() + SHUTDOWN_TIMEOUT
             try:
-                wait(running(), SHUTDOWN_TIMEOUT)
+                while busy and monotonic() < latest:
+                    collect(latest - monotonic())
             finally:  # also after a second signal
-                pool.stop()
-
-
-class _Pool:
-    """The workers of a task, with a thread each that waits for its result."""
-
-    def __init__(self, start: Callable[[], _Worker], jobs: int) -> None:
-        self._start, self._jobs, self._threads = start, jobs, ThreadPoolExecutor(jobs)
-        self._workers, self._idle = list[_Worker](), list[_Worker]()
-
-    def fill(self) -> None:
-        with _report_start():
-            self._idle += [self._add() for _ in range(self._jobs)]
-
-    def submit(self, item: object) -> Future[Any]:
-        with _report_start():
-            worker = self._idle.pop() if self._idle else self._add()
-            return self._threads.submit(self._run, worker, item)
-
-    def stop(self) -> None:
-        for worker in [*self._workers]:
-            worker.stop()
-        self._threads.shutdown(wait=False)
-
-    def _add(self) -> _Worker:
-        self._workers.append(self._start())
-        return self._workers[-1]
-
-    def _run(self, worker: _Worker, item: object) -> Any:
-        try:
-            return worker.run(item)
-        except WorkerCrashError:
-            worker.stop()
-            self._workers.remove(worker)
-            raise
-        finally:
-            self._idle.extend({worker}.intersection(self._workers))
-
-
-@contextmanager
-def _report_start() -> Iterator[None]:
-    """Raise InputError where the block cannot start a process, or the thread that waits for it."""
-    try:
-        yield
-    except (OSError, RuntimeError) as error:
-        problem = f"no process can be started: {getattr(error, 'strerror', None) or error}"
-        raise InputError("--jobs", problem, "give --jobs 1, or end other programs") from None
+                for worker in workers:
+                    worker.stop()
 
 
 def count_processors() -> int:
@@ -207,11 +164,22 @@ def configure_threads(threads: int, device: str = "cpu") -> None:
     check_device(device, f"--device {device}")
 
 
-def pickle_value(value: object, memory: memoryview = NO_MEMORY) -> tuple[bytes, list[slice]]:
-    """Return a pickled value, and the places in ``memory`` of those of its arrays that fit there.
+# --- processes of this machine --------------------------------------------------------------
 
-    Tensors are pickled as NumPy arrays, in a third of torch's time.
-    """
+
+class _Pickler(pickle.Pickler):
+    """A pickler of tensors as NumPy arrays, in a third of torch's time."""
+
+    def reducer_override(self, value: Any) -> Any:
+        # NumPy would change the strides of tensors that are not contiguous.
+        if type(value) is torch.Tensor and value.is_contiguous():
+            with suppress(TypeError, RuntimeError):  # dtypes that NumPy lacks; with gradients
+                return torch.from_numpy, (value.numpy(),)
+        return NotImplemented
+
+
+def pickle_value(value: object, memory: _Memory = NO_MEMORY) -> tuple[bytes, list[slice]]:
+    """Return a pickled value, and the places in ``memory`` of its arrays that fit there."""
     data, places = io.BytesIO(), list[slice]()
 
     def is_in_pickle(array: pickle.PickleBuffer) -> bool:
@@ -223,20 +191,8 @@ def pickle_value(value: object, memory: memoryview = NO_MEMORY) -> tuple[bytes, 
         memory[place] = array.raw()
         return False
 
-    pickler = pickle.Pickler(data, pickle.HIGHEST_PROTOCOL, buffer_callback=is_in_pickle)
-    pickler.dispatch_table = copyreg.dispatch_table | {torch.Tensor: _reduce_tensor}
-    pickler.dump(value)
+    _Pickler(data, pickle.HIGHEST_PROTOCOL, buffer_callback=is_in_pickle).dump(value)
     return data.getvalue(), places
-
-
-def _reduce_tensor(tensor: Tensor) -> Any:
-    if tensor.is_contiguous():  # NumPy would change the strides of other tensors
-        with suppress(TypeError, RuntimeError):  # dtypes that NumPy lacks; tensors with gradients
-            return torch.from_numpy, (tensor.numpy(),)
-    return tensor.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
-
-
-# --- processes of this machine --------------------------------------------------------------
 
 
 class _Process:
@@ -247,39 +203,47 @@ class _Process:
     for an item and for its result: arrays pass through it in a fifth of a pipe's time.
     """
 
-    def __init__(self, threads: Threads, task: TaskFunction) -> None:
+    def __init__(self, task: TaskFunction) -> None:
+        threads = Threads.current()
         forks = sys.platform == "linux" and threads.torch == 1 and not torch.cuda.is_initialized()
         context = get_context("fork") if forks else get_context("spawn")
         self._memories = [mmap(-1, SHARED_BYTES) if forks else bytearray() for _ in range(2)]
-        self._unsent_task, inherited_task = (None, task) if forks else (task, None)
+        self._unsent_task = None if forks else task
         self._pipe, end = context.Pipe()
-        arguments = (end, threads, inherited_task, self._memories)
-        with end, _safe_path(), block_sigint_in_children():
-            self._process = context.Process(target=_work, args=arguments)
-            self._process.start()
-        Finalize(self, self._process.kill, exitpriority=0)  # or Python waits for it at its own end
-
-    def run(self, item: object) -> Any:
-        """Return the result of an item: copies, as the memory is soon used again.
-
-        A process that dies before it has its task raises InputError: all others would die as well.
-        """
+        arguments = (end, threads, task if forks else None, *self._memories)
         try:
+            with end, _safe_path(), block_sigint_in_children():
+                self._process = context.Process(target=_work, args=arguments)
+                self._process.start()
+        except OSError as error:
+            problem = f"no process can be started: {error.strerror}"
+            raise InputError("--jobs", problem, "give --jobs 1, or end other programs") from None
+        Finalize(self, self._process.kill, exitpriority=0)  # or Python waits for it at its own end
+        self.fileno = self._pipe.fileno
+
+    def send(self, item: object) -> None:
+        """Send an item, after the task to a new process that did not inherit it."""
+        with suppress(EOFError, OSError):  # it has died: ``receive`` reports that
             if self._unsent_task is not None:
                 # In bytes, because torch would share tensors between processes through sockets.
                 # Python itself would wait forever for a process that dies reading its arguments.
                 self._pipe.send(pickle_value(self._unsent_task))
                 self._unsent_task = self._pipe.recv()
-        except (EOFError, OSError):
-            hint = "give --jobs 1, and check the Python environment of new processes"
-            raise InputError("--jobs", "a worker process died at its start", hint) from None
-        item_memory, result_memory = map(memoryview, self._memories)
+            self._pipe.send(pickle_value(item, self._memories[0]))
+
+    def receive(self) -> Any:
+        """Return the result of the item: copies, as the memory is soon used again.
+
+        A process that dies before it has its task raises InputError: all others would die as well.
+        """
         try:
-            self._pipe.send(pickle_value(item, item_memory))
             is_error, data, places = self._pipe.recv()
         except (EOFError, OSError):
-            raise WorkerCrashError from None
-        value = pickle.loads(data, buffers=[bytearray(result_memory[place]) for place in places])
+            if self._unsent_task is None:
+                raise WorkerCrashError from None
+            hint = "give --jobs 1, and check the Python environment of new processes"
+            raise InputError("--jobs", "a worker process died at its start", hint) from None
+        value = pickle.loads(data, buffers=[bytearray(self._memories[1][p]) for p in places])
         if is_error:
             raise value
         return value
@@ -303,29 +267,29 @@ def _safe_path() -> Iterator[None]:
 
 
 def _work(
-    pipe: Connection, threads: Threads, task: TaskFunction | None, memories: Sequence[_Memory]
+    pipe: connection.Connection,
+    threads: Threads,
+    task: TaskFunction | None,
+    *memories: _Memory,
 ) -> None:
-    """Run a task, inherited or sent first, on the items from a pipe.
-
-    Stop signals are left to the parent process.
-    """
+    """Run a task, inherited or sent first, on the items from a pipe; ignore stop signals."""
     gc.freeze()  # no finalizer of the parent's objects may run here: its threads do not exist
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     end_with_parent()
     threads.set()
     keep_freed_memory()
-    item_memory, result_memory = map(memoryview, memories)
-    if task is None:
-        task = pickle.loads(pipe.recv()[0])
-        pipe.send(None)  # it has its task
-    assert task is not None
+    items, results = map(memoryview, memories)
     with suppress(EOFError, OSError):  # the parent process has ended
+        if task is None:
+            task = pickle.loads(pipe.recv()[0])
+            pipe.send(None)  # it has its task
+        assert task is not None
         while True:
             data, places = pipe.recv()
             try:
-                item = pickle.loads(data, buffers=[item_memory[place] for place in places])
-                result = (False, *pickle_value(task(item), result_memory))
+                item = pickle.loads(data, buffers=[items[place] for place in places])
+                answer = (False, *pickle_value(task(item), results))
             except Exception as error:
-                result = (True, *pickle_value(error))
-            pipe.send(result)
+                answer = (True, *pickle_value(error))
+            pipe.send(answer)

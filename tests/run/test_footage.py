@@ -66,10 +66,10 @@ def test_frames_are_what_the_library_says(call: Call, drive: Path, out: Path) ->
     call("infer", drive, *GREY, "--out", out, "--save", kinds, "--every", "5", "--start", "0.2",
          "--no-smoothing")  # fmt: skip
 
-    names = {f"drive/{n:06d}{end}" for n in (2, 7) for end in
-             (".likelihood.png", ".mask.png", ".overlay.jpg")}  # fmt: skip
-    assert files_in(out) == names | {"config.toml", "index.csv", "run.json", "drive.mask.mp4",
-                                     "drive.likelihood.mp4"}  # fmt: skip
+    kinds = ("likelihood.png", "mask.png", "overlay.jpg")
+    names = {f"drive/{number:06d}.{kind}" for number in (2, 7) for kind in kinds}
+    videos = {"drive.mask.mp4", "drive.likelihood.mp4"}
+    assert files_in(out) == names | videos | {"config.toml", "index.csv", "run.json"}
     frame = next(f for f in video_source(drive, "d", Selection()).items() if f.number == 7)
     detection = load_detector("grey-uniformity").detect(frame.read())
     mask = np.asarray(Image.open(out / "drive" / "000007.mask.png"))

@@ -1,24 +1,34 @@
-"""roadtorch infer on images: files, second runs, and bad input."""
+"""roadtorch infer on images: files, rows, run.json, odd and bad inputs, refusals."""
 
+import fcntl
+import json
 import os
+import shlex
 import struct
+import sys
 import tomllib
 import zlib
+from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
+from roadtorch import RoadtorchError
+from roadtorch.base.compute import Threads
 from roadtorch.base.image import read_image, write_rgb
+from roadtorch.data.correction_formats import read_coco_labels
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detection import Detection
 from roadtorch.run.loop import Inference
 from roadtorch.run.writers.maps import cue_image
-from roadtorch.testing.scenes import render_scene
-from tests.command import GREY, ROWS, Call, files_in, read_index_rows, save_image
+from roadtorch.testing.scenes import render_scene, write_image
+from tests.command import GREY, ROWS, Call, bytes_in, files_in, read_index_rows, save_image
+from tests.videos import write_video
 
 # --- what is written ------------------------------------------------------------------------
 
@@ -89,7 +99,85 @@ def test_cue_images() -> None:
     assert len({tuple(colour) for colour in segments.T.tolist()}) == 30
 
 
-# --- settings -------------------------------------------------------------------------------
+def test_polygons_are_the_mask_and_coco_has_all(call: Call, tmp_path: Path, out: Path) -> None:
+    images, names = tmp_path / "in", ["1", os.fsdecode(b"2\xff")]
+    for seed, name in enumerate(names, 1):
+        write_image(images / f"{name}.png", render_scene(seed, 60, 80))
+
+    cocos = []
+    for inputs in (images / "1.png", images):
+        call("infer", inputs, "--detector", "cpf", "--out", out, "--save", "polygons,mask")
+        cocos.append(json.loads((out / "coco.json").read_text()))
+
+    files = [[entry["file_name"] for entry in coco["images"]] for coco in cocos]
+    assert files == [["1.png"], ["1.png", r"2\xff.png"]]
+    for name, entry in zip(names, cocos[1]["annotations"], strict=True):
+        mask = np.asarray(Image.open(out / f"{name}.mask.png")) == 255
+        file = cocos[1]["images"][entry["image_id"] - 1]["file_name"]
+        labels = read_coco_labels(out / f"{name}.coco.json", {file: mask.shape})
+        assert np.array_equal(labels[file] == 1, mask)
+        assert entry["area"] == mask.sum() > 0
+
+
+def test_an_image_does_not_depend_on_the_run(call: Call, footage: Path, tmp_path: Path) -> None:
+    for out in ("one", "two"):
+        call("infer", footage, *ROWS, "--out", tmp_path / out, "--save", "json,polygons")
+
+    facts = json.loads((tmp_path / "one" / "sub" / "c.json").read_text())
+
+    assert bytes_in(tmp_path / "one") == bytes_in(tmp_path / "two")
+    assert facts["file"] == "sub/c.png"
+    assert (facts["width"], facts["height"], facts["detector"]) == (64, 48, "prior:rows")
+    assert facts["trust"] is None
+    assert facts["road_fraction"] == pytest.approx(0.5, abs=0.05)
+
+
+def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: Path) -> None:
+    (footage / "bad.png").write_bytes(b"no image")
+
+    threads = Threads.current()
+    try:
+        run("--threshold", "0.4", "--threads", "2")
+    finally:
+        threads.set()
+
+    record = json.loads((out / "run.json").read_text())
+    assert record["versions"]["torch"] == torch.__version__
+    assert record["threads"] == {"torch": 2, "opencv": 2}
+    assert record["detector"] == "prior:rows"
+    assert record["settings"]["threshold"] == 0.4
+    assert record["images"] == {"all": 4, "done": 3, "doubtful": 0, "failed": 1, "not_tried": 0}
+    assert record["exit_status"] == 1
+    assert record["index_sha256"] == sha256((out / "index.csv").read_bytes()).hexdigest()
+    assert record["started"] < record["ended"]
+    lines = [
+        f"{row['sha256']}  {name}\n" for name, row in read_index_rows(out).items() if row["sha256"]
+    ]
+    assert record["inputs_sha256"] == sha256("".join(lines).encode()).hexdigest()
+
+
+def test_the_five_least_trusted_images_are_named_in_order(call: Call, tmp_path: Path) -> None:
+    for seed in range(6):
+        write_rgb(tmp_path / f"street-{seed}.jpg", render_scene(seed, 120, 160).image)
+    noise = torch.rand(3, 120, 160, generator=torch.Generator().manual_seed(0))
+    write_rgb(tmp_path / "noise.jpg", noise)
+
+    result = call("infer", tmp_path, "--out", tmp_path / "out")
+
+    rows = read_index_rows(tmp_path / "out")
+    first, *lines = result.stdout.splitlines()
+    trusts = [float(line.split()[0]) for line in lines]
+    assert "of 7; least trusted (trust does not tell pavement from road: see" in first
+    assert trusts == sorted(float(row["trust"]) for row in rows.values())[:5]
+    assert lines[0].split()[1].startswith("noise.jpg")
+    for row in rows.values():
+        assert row["status"].startswith("doubtful: ") == (float(row["trust"]) < 0.6)
+    again = call("infer", tmp_path, "--out", tmp_path / "out")
+    assert again.exit_code == 0
+    assert again.stderr.startswith("roadtorch: 0 done, 7 skipped")  # doubtful ones are done
+
+
+# --- settings, and a second run ---------------------------------------------------------------
 
 
 def test_set_goes_over_the_file_and_threshold_over_both_and_what_is_kept_gives_the_same(
@@ -106,9 +194,6 @@ def test_set_goes_over_the_file_and_threshold_over_both_and_what_is_kept_gives_t
     assert (values["detector"], values["threshold"]) == ("cpf", 0.3)
     assert (values["texture"]["bins"], values["texture"]["ridge"]) == (8, 0.5)
     assert "3 skipped (done before)" in again.stderr
-
-
-# --- a second run ---------------------------------------------------------------------------
 
 
 def test_what_is_done_is_skipped_until_overwrite(run: Call, footage: Path, out: Path) -> None:
@@ -136,36 +221,71 @@ def test_results_beside_the_images_are_not_taken_for_images(call: Call, footage:
     assert list(read_index_rows(footage)) == ["a.jpg", "b.png", "sub/c.png"]
 
 
-# --- bad input ------------------------------------------------------------------------------
+# --- odd and bad input ----------------------------------------------------------------------
 
 
-def test_broken_images_become_failed_rows_beside_others(
-    call: Call, footage: Path, out: Path
-) -> None:
-    whole = (footage / "a.jpg").read_bytes()
-    (footage / "cut.jpg").write_bytes(whole[: len(whole) // 2])
-    (footage / "empty.png").touch()
-    (footage / "text.png").write_text("not an image")
-    save_image(footage / "tiny.png", size=(1, 1))
+def write_odd(folder: Path) -> None:
+    """Write the files of ``ODD``, which are named after what is odd about them."""
+    image = save_image(folder / "whole.png").read_bytes()
+    oversized, damaged = bytearray(image), bytearray(image)
+    oversized[16:24] = struct.pack(">2I", 30_000, 6_000)
+    oversized[29:33] = struct.pack(">I", zlib.crc32(oversized[12:29]))
+    damaged[damaged.index(b"IDAT") - 1] -= 8  # its length
+    contents = {"cut": image[:1000], "empty": b"", "text": b"not an image", "damaged": damaged}
+    for name, data in {**contents, "oversized": oversized}.items():
+        (folder / f"{name}.png").write_bytes(data)
+    for name in (os.fsdecode(b"z\xff"), "\N{GRINNING FACE}", LONG):
+        (folder / f"{name}.png").write_bytes(image)
+    save_image(folder / "tiny.png", size=(1, 1))
+    os.mkfifo(folder / "pipe.png")
+    (folder / "loop.png").symlink_to("loop.png")
+    write_video(folder / "drive.mp4", (0.0, 0.1))
+    save_image(folder / "drive" / "000003.png")
 
-    result = call("infer", footage, footage / "none.jpg", *ROWS, "--out", out, "--jobs", "2")
 
-    assert result.exit_code == 1
-    assert result.stderr.splitlines()[-1] == f"roadtorch: 3 done, 5 failed; results in {out}"
-    rows = read_index_rows(out)
-    for file, problem in [
-        ("cut.jpg", "cannot be decoded"),
-        ("empty.png", "is empty"),
-        ("text.png", "is not an image"),
-        ("tiny.png", "is 1×1 pixels"),
-        ("none.jpg", "does not exist"),
-    ]:
-        assert rows[file]["status"].startswith("failed: ")
-        assert problem in rows[file]["status"]
-        assert file in result.stderr
-    assert rows["a.jpg"]["status"] == "done"
-    assert not any(name.endswith(".part") for name in files_in(out))
-    assert "Traceback" not in result.stderr
+LONG = "n" * 245
+ODD = {
+    "whole.png": "done",
+    "cut.png": "cannot be decoded",
+    "damaged.png": "cannot be decoded: ",
+    "empty.png": "is empty",
+    "gone": "does not exist",
+    "loop.png": "does not exist",
+    "none.jpg": "does not exist",
+    "oversized.png": "has more than ",
+    "pipe.png": "cannot be read: it is a pipe or a device, not a file",
+    "text.png": "is not an image",
+    "tiny.png": "is 1×1 pixels",
+    f"{LONG}.png": "File name too long",
+    r"z\xff.png": "done",
+    "\N{GRINNING FACE}.png": "done",
+    "drive.mp4": "done",
+    "drive/000003.png": "done",
+    **{f"drive/{number:06d}": "done" for number in (0, 1)},
+}
+
+
+def test_each_odd_input_costs_its_own_row(call: Call, tmp_path: Path, out: Path) -> None:
+    folder = tmp_path / "in"
+    write_odd(folder)
+    (tmp_path / "list.txt").write_text(f"{folder}\n{folder / 'gone'}/\n{folder / 'none.jpg'}\n")
+    words = ("infer", f"@{tmp_path / 'list.txt'}", *ROWS, "--out", out, "--save", "mask")
+
+    for count in ("4 done", "0 done, 4 skipped (done before)"):
+        result = call(*words, "--jobs", "2")
+
+        failed = sum(status != "done" for status in ODD.values())
+        rows = read_index_rows(out)
+        assert result.exit_code == 1
+        assert f"roadtorch: {count}, {failed} failed; results in {out}\n" in result.stderr
+        assert rows.keys() == ODD.keys()
+        for file, problem in ODD.items():
+            status = rows[file]["status"]
+            assert problem in status
+            assert status.startswith("failed: ") != (problem == "done")
+            assert problem == "done" or f"roadtorch: {status}\n" in result.stderr
+    assert (out / os.fsdecode(b"z\xff.mask.png")).exists()
+    assert not list(out.rglob("*.part"))
 
 
 @pytest.mark.parametrize(
@@ -199,76 +319,77 @@ def test_a_detector_that_trips_costs_one_row(
     assert read_index_rows(out)["sub/c.png"]["status"] == "done"
 
 
-# --- trust --------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("old", "new", "code"), [(",64,48,", ",64.0,48.0,", 0), (",64,", ",x,", 2)]
+)
+def test_an_index_that_a_spreadsheet_rewrote_is_read_or_refused(
+    old: str, new: str, code: int, run: Call, out: Path
+) -> None:
+    words = ("--save", "polygons")
+    run(*words)
+    index = out / "index.csv"
+    index.write_text(index.read_text().replace(old, new))
+
+    assert run(*words).exit_code == code
 
 
-def test_the_five_least_trusted_images_are_named_in_order(call: Call, tmp_path: Path) -> None:
-    for seed in range(6):
-        write_rgb(tmp_path / f"street-{seed}.jpg", render_scene(seed, 120, 160).image)
-    noise = torch.rand(3, 120, 160, generator=torch.Generator().manual_seed(0))
-    write_rgb(tmp_path / "noise.jpg", noise)
-
-    result = call("infer", tmp_path, "--out", tmp_path / "out")
-
-    rows = read_index_rows(tmp_path / "out")
-    first, *lines = result.stdout.splitlines()
-    trusts = [float(line.split()[0]) for line in lines]
-    assert "of 7; least trusted (trust does not tell pavement from road: see" in first
-    assert trusts == sorted(float(row["trust"]) for row in rows.values())[:5]
-    assert lines[0].split()[1].startswith("noise.jpg")
-    for row in rows.values():
-        assert row["status"].startswith("doubtful: ") == (float(row["trust"]) < 0.6)
-    again = call("infer", tmp_path, "--out", tmp_path / "out")
-    assert again.exit_code == 0
-    assert again.stderr.startswith("roadtorch: 0 done, 7 skipped")  # doubtful ones are done
+def write_inputs(root: Path, names: Sequence[str]) -> Path:
+    """Write images and videos to a folder."""
+    root.mkdir(exist_ok=True)
+    for seed, name in enumerate(names):
+        if name.endswith(".mp4"):
+            write_video(root / name)
+        else:
+            save_image(root / name, seed)
+    return root
 
 
-# --- names and kinds of files -----------------------------------------------------------------
-
-
-def test_odd_names_and_files_that_are_none(run: Call, footage: Path, out: Path) -> None:
-    odd = footage / os.fsdecode(b"z\xff.jpg")
-    (footage / "a.jpg").rename(odd)
-    os.mkfifo(footage / "pipe.png")
-    (footage / "loop.png").symlink_to(footage / "loop.png")
-
-    for skipped in ("", "0 done, 3 skipped"):  # what is done under such a name is done
-        result = run()
-        assert result.exit_code == 1
-        rows = read_index_rows(out)
-        done = [file for file, row in rows.items() if row["status"] == "done"]
-        assert done == ["b.png", "sub/c.png", r"z\xff.jpg"]
-        assert set(rows) - set(done) == {"loop.png", "pipe.png"}
-        assert skipped in result.stderr
-    assert (out / os.fsdecode(b"z\xff.mask.png")).exists()
+KINDS = "--save json,polygons,cues"
 
 
 @pytest.mark.parametrize(
-    ("kind", "reason"),
+    ("names", "line", "message"),
     [
-        ("pipe", "cannot be read: it is a pipe or a device, not a file"),
-        ("damaged", "cannot be decoded: "),
-        ("oversized", "has more than "),
+        ("drive.mp4 drive/000003.png", f"infer in {KINDS}", "drive.mp4: both would write out/dri"),
+        ("1.png run.png", f"infer in {KINDS}", "the run itself and in/run.png: both would write"),
+        ("1.png 1.coco.png", f"infer in {KINDS}", "in/1.coco.png and in/1.png: both would write"),
+        (r"1\xff.png " + os.fsdecode(b"1\xff.png"), f"infer in {KINDS}", r"in/1\xff.png and in/1"),
+        ("b.png", "infer gone/", "gone: does not exist ("),
+        ("b.png", "infer ''", "'': is an empty name (give a file or a folder)"),
+        ("b.png", "infer in --engine ray", "--engine ray: Ray is not installed (pip install 'road"),
+        ("b.png", "infer in --out s3://bucket/out", "s3:/bucket/out: is an address (give a local"),
+        ("b.png", "infer in --out locked", "locked: another run is writing here (wait for it, or "),
+        ("b.png", "label in --out in", "in/b.png: is one of the input images (give another --out)"),
     ],
 )
-def test_a_first_image_that_cannot_be_read_is_a_failed_row(
-    kind: str, reason: str, call: Call, tmp_path: Path, out: Path
+def test_refusals(
+    names: str, line: str, message: str, call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "in" / "x.png"
-    path.parent.mkdir()
-    if kind == "pipe":
-        os.mkfifo(path)
-    else:
-        Image.new("L", (64, 48)).save(path)
-        data = bytearray(path.read_bytes())
-        if kind == "oversized":
-            data[16:24] = struct.pack(">2I", 30_000, 6_000)
-            data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
-        else:
-            data[data.index(b"IDAT") - 1] -= 8  # its length
-        path.write_bytes(data)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "ray", None)
+    Path("locked").mkdir()
+    handle = os.open("locked", os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    contents = bytes_in(write_inputs(Path("in"), names.split()))
+    words = ["--out", "out", *(("--detector", "prior:rows") * line.startswith("infer"))]
 
-    result = call("infer", path.parent, *ROWS, "--out", out)
+    result = call(*shlex.split(line)[:1], *words, *shlex.split(line)[1:])
 
-    assert result.exit_code == 1, result.stderr
-    assert read_index_rows(out)["x.png"]["status"].startswith(f"failed: {path}: {reason}")
+    os.close(handle)
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+    assert result.stderr.startswith("roadtorch: error: ")
+    assert message in result.stderr
+    assert bytes_in(Path("in")) == contents
+    assert not {"out", "s3:"} & {path.name for path in tmp_path.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("options", "image"),
+    [({"camera": "camera.toml"}, None), ({"runtime": None}, None), ({"device": 3.5}, None),
+     ({"order": "rgb"}, np.zeros((0, 160, 3), np.uint8))],
+)  # fmt: skip
+def test_python_arguments_are_refused_by_an_error_of_ours(
+    options: dict[str, Any], image: Any
+) -> None:
+    with pytest.raises(RoadtorchError):
+        load_detector("prior:rows", **options)(image)

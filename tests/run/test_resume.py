@@ -3,7 +3,6 @@
 import json
 import multiprocessing
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -77,25 +76,12 @@ def test_results_made_otherwise_are_done_anew_even_without_their_config(
     assert again.stderr.startswith("roadtorch: 3 done (3 redone);")
 
 
-@pytest.mark.parametrize(
-    ("kind", "gone"), [("cues", "b.cue.uniformity.png"), ("npy", "b.uniformity.npy")]
-)
-def test_files_of_cues_that_were_removed_are_made_again(
-    call: Call, footage: Path, out: Path, kind: str, gone: str
-) -> None:
-    words = ("infer", footage, "--detector", "grey-uniformity", "--out", out, "--save")
-    call(*words, f"mask,{kind}")
-    contents = bytes_in(out)
-    (out / gone).unlink()
-
-    fewer, again = call(*words, "mask"), call(*words, f"mask,{kind}")
-
-    assert fewer.stderr.startswith("roadtorch: 0 done, 3 skipped")
-    assert again.stderr.startswith("roadtorch: 1 done (1 redone), 2 skipped")
-    assert bytes_in(out) == contents
-
-
 # --- killed -----------------------------------------------------------------------------
+
+
+def die_of_b(item: Item) -> None:
+    if item.name == "b":
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_what_a_killed_run_left_is_removed_by_the_next(run: Call, out: Path) -> None:
@@ -156,9 +142,8 @@ def test_a_death_costs_its_image_alone_and_is_told(
     call(*run, tmp_path / "quiet")
 
     def die(item: Item) -> None:
-        if item.name == "b":
-            (out / ".roadtorch.0123abcd.part").touch()
-            os.kill(os.getpid(), signal.SIGKILL)
+        (out / ".roadtorch.0123abcd.part").touch()
+        die_of_b(item)
 
     with before_each(die):
         result = call(*run, out)
@@ -176,11 +161,7 @@ def test_a_death_costs_its_image_alone_and_is_told(
 
 
 def test_a_kill_costs_the_image_in_hand(run: Call, out: Path, before_each: BeforeEach) -> None:
-    def die(item: Item) -> None:
-        if item.name == "b":
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    with before_each(die):
+    with before_each(die_of_b):
         process = multiprocessing.get_context("fork").Process(target=run, args=("--jobs", 1))
         process.start()
         process.join()
@@ -239,29 +220,3 @@ def test_closed_streams_cost_nothing(footage: Path, tmp_path: Path) -> None:
 
     assert ended.returncode == 0
     assert [row["status"] for row in read_index_rows(tmp_path / "out").values()] == ["done"] * 3
-
-
-def test_a_disk_that_takes_no_more_is_one_error_and_what_was_finished_stays(
-    call: Call, footage: Path, out: Path, before_each: BeforeEach
-) -> None:
-    run = ("infer", footage, *ROWS, "--out", out, "--save", "npy")
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-
-    def fill(item: Item) -> None:
-        if item.name == "b":
-            resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, limits[1]))  # the maps have 12,416
-
-    try:
-        with before_each(fill):
-            full = call(*run)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-    assert full.exit_code == 1
-    rows = read_index_rows(out)
-    assert rows["a.jpg"]["status"] == "done"
-    why = f"{out}/b.likelihood.npy: cannot be written: File too large"
-    assert rows["b.png"]["status"].startswith(f"failed: {why}")
-    assert f"roadtorch: failed: {why}" in full.stderr
-    assert not list(out.rglob("*.part"))
-    assert call(*run).stderr.startswith("roadtorch: 2 done, 1 skipped")

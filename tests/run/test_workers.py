@@ -8,12 +8,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from functools import partial
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -60,23 +60,18 @@ def test_results_come_in_the_order_of_items_from_other_processes(jobs: int, paus
     assert (makers == {os.getpid()}) if jobs == 1 else not makers & {os.getpid(), 0}
 
 
-@pytest.mark.parametrize("deadly", [(0,), (29,), (3, 4, 5, 20)])
+@pytest.mark.parametrize("deadly", [(), (0,), (29,), (3, 4, 5, 20)])
 def test_a_death_costs_exactly_the_item_in_hand(deadly: tuple[int, ...]) -> None:
-    results = list(Workers(2).map(partial(work, deadly=deadly), range(30), died))
-
-    assert [number for number, _ in results] == [*range(30)]
-    assert tuple(number for number, process in results if not process) == deadly
-
-
-def test_a_death_before_the_first_item_costs_one() -> None:
     def items() -> Iterator[int]:
-        multiprocessing.active_children()[0].kill()
-        yield from range(6)
+        if not deadly:  # a worker without an item: the first one that it gets
+            multiprocessing.active_children()[0].kill()
+        yield from range(30)
 
-    results = list(Workers(2).map(work, items(), died))
+    results = list(Workers(2).map(partial(work, deadly=deadly), items(), died))
 
-    assert [number for number, _ in results] == [*range(6)]
-    assert [process for _, process in results].count(0) == 1
+    dead = tuple(number for number, process in results if not process)
+    assert [number for number, _ in results] == [*range(30)]
+    assert dead == deadly if deadly else len(dead) == 1
 
 
 def test_reading_ahead_is_bounded() -> None:
@@ -94,23 +89,27 @@ def test_reading_ahead_is_bounded() -> None:
                 break
 
 
-class InlineThreads(ThreadPoolExecutor):
-    """Threads whose results are there at once."""
+class InlineWorker:
+    """A worker whose result is there at once."""
 
-    def submit(self, fn: Callable[..., Any], /, *values: Any, **options: Any) -> Future[Any]:
-        future = Future[Any]()
-        future.set_result(fn(*values, **options))
-        return future
+    def __init__(self, task: Callable[[Any], Any]) -> None:
+        self.task = task
+        self.result: Any = None
+
+    def send(self, item: object) -> None:
+        self.result = self.task(item)
+
+    def receive(self) -> Any:
+        return self.result
+
+    def stop(self) -> None: ...
 
 
 @pytest.mark.parametrize(("live", "ahead"), [(True, 1), (False, MAX_AHEAD * 2)])
-def test_results_of_a_live_source_come_before_its_next_item(
-    live: bool, ahead: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(workers, "ThreadPoolExecutor", InlineThreads)
+def test_results_of_a_live_source_come_before_its_next_item(live: bool, ahead: int) -> None:
     items = iter(range(9))
 
-    results = Workers(2).map(abs, items, abs, live)
+    results = Workers(2, InlineWorker, lambda busy, _: busy).map(abs, items, abs, live)
 
     assert [next(results) for _ in range(3)] == [0, 1, 2]
     assert next(items) == 2 + ahead
@@ -161,56 +160,44 @@ def test_a_worker_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -
     assert time.monotonic() - start < 600
 
 
-@pytest.mark.parametrize(
-    ("owner", "name", "error"),
-    [
-        (BaseProcess, "start", BlockingIOError(11, "try again")),
-        (ThreadPoolExecutor, "submit", RuntimeError("try again")),
-    ],
-)
-def test_no_process_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, owner: type, name: str, error: Exception
-) -> None:
-    def refuse(*_: object) -> None:
-        raise error
+def test_no_process_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(BaseProcess, "start", Mock(side_effect=BlockingIOError(11, "try again")))
 
-    monkeypatch.setattr(owner, name, refuse)
-
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"^--jobs: no process can be started: try again \("):
         list(Workers(4).map(work, range(12), died))
 
-    message = "--jobs: no process can be started: try again (give --jobs 1, or end other programs)"
-    assert str(caught.value) == message
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    """Give torch two threads: workers are started anew."""
+    threads = Threads.current()
+    Threads(2, 1).set()
+    yield
+    threads.set()
 
 
 def multiplied(number: int, factor: torch.Tensor) -> tuple[float, int]:
     return float(factor * number), torch.get_num_threads()
 
 
+@pytest.mark.usefixtures("two_threads")
 def test_beside_several_threads_workers_are_started_anew_with_as_many() -> None:
-    threads = Threads.current()
     task = partial(multiplied, factor=torch.tensor(2.0))
-    try:
-        Threads(2, 1).set()
-        results = list(Workers(2).map(task, range(3), lambda _: (0.0, 0)))
-    finally:
-        threads.set()
+
+    results = list(Workers(2).map(task, range(3), lambda _: (0.0, 0)))
 
     assert results == [(0.0, 2), (2.0, 2), (4.0, 2)]
 
 
+@pytest.mark.usefixtures("two_threads")
 def test_workers_that_die_at_their_start_end_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "types.py").write_text("raise SystemExit('broken')\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))  # of new processes alone
-    threads = Threads.current()
-    try:
-        Threads(2, 1).set()
-        with pytest.raises(InputError, match="--jobs: a worker process died at its start"):
-            list(Workers(2).map(partial(work, deadly=(0,) * 10**6), range(30), died))
-    finally:
-        threads.set()
+
+    with pytest.raises(InputError, match="--jobs: a worker process died at its start"):
+        list(Workers(2).map(partial(work, deadly=(0,) * 10**6), range(30), died))
 
     assert "broken" in capfd.readouterr().err
 
