@@ -36,14 +36,13 @@ DEFAULT_STEP = 0.1  # seconds between images whose stamps and times of recording
 class ImageTopic:
     """A topic with images: name, number of messages, coordinate frame of the first one.
 
-    rate: messages per second, estimated; None for a single message. generation: 1 or 2, of ROS.
+    rate: messages per second, estimated; None for a single message.
     """
 
     name: str
     count: int
     frame_id: str
     rate: float | None
-    generation: int
 
 
 def is_bag(origin: str) -> bool:
@@ -95,6 +94,7 @@ def bag_source(
         items=lambda: selection.select(every()),
         rate=images.rate and images.rate / selection.every,
         count=count,
+        path=path,
     )
 
 
@@ -113,8 +113,7 @@ def image_topic(origin: str, topic: str | None = None) -> ImageTopic:
         count = sum(link.msgcount for link in bag.connections if link.topic == name)
         first = next((message.content for message in messages if message.content), None)
         frame_id = first.header.frame_id if first is not None else ""
-        rate = 1e9 / step if step > 0 else None
-        return ImageTopic(name, count, frame_id, rate, 2 if bag.is2 else 1)
+        return ImageTopic(name, count, frame_id, 1e9 / step if step > 0 else None)
 
 
 def camera_info(origin: str, topic: str | None = None) -> Lens:

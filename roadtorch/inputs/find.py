@@ -115,7 +115,7 @@ def _open_bag_in_folder(file: ListedFile, selection: Selection, alone: bool) -> 
     except RoadtorchError as error:
         if alone:
             raise
-        return Source(name, str(file.path), partial(fail, error))
+        return Source(name, str(file.path), partial(fail, error), path=file.path)
 
 
 def select_inputs(inputs: Iterable[str], selection: Selection, out: Path) -> Inputs:
@@ -199,10 +199,9 @@ def locate_frames(inputs: Sequence[str], limit: int) -> list[FramePosition]:
         images, sources = find_inputs([argument])
         positions += [FramePosition(image.path, None) for image in images]
         for source in sources:
-            if (path := source.path) is None:
-                raise InputError(
-                    source.origin, "is no footage on disk", "give images or video files"
-                )
+            if (path := source.path) is None or is_bag(source.origin):
+                hint = "give images or video files"
+                raise InputError(source.origin, "is no footage on disk", hint)
             positions += [FramePosition(path, number) for number in range(count_frames(path))]
     if len(positions) <= limit:
         return positions

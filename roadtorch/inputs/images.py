@@ -5,14 +5,13 @@ import hashlib
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cache, lru_cache, partial
+from contextlib import suppress
+from functools import cache, partial
 from itertools import takewhile
 from os.path import basename, dirname
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from urllib.parse import urlsplit
-
-from torch import Tensor
 
 from roadtorch.base.atomic import file_digest, make_result_filter
 from roadtorch.base.bounded import strip_password, strip_user
@@ -21,7 +20,6 @@ from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.base.image import (
     IMAGE_SUFFIXES,
     READABLE_FORMATS,
-    decode_image,
     read_file,
     read_image,
     warn_of_unread,
@@ -182,25 +180,14 @@ def open_web_image(url: str) -> Item | None:
         return None
     if media_type != "image" and (not is_named or media_type == "multipart"):
         return None
-    origin = strip_password(url)
-    return Item(name, origin, partial(_read_remote, url), partial(_digest_remote, url), path.suffix)
+    parts = partial(read_image, url), partial(_digest_remote, url), path.suffix
+    return Item(name, strip_password(url), *parts, load=partial(read_url, url))
 
 
-@lru_cache(maxsize=1)
-def _remote_bytes(url: str) -> bytes:
-    """Download an image; the last one is cached, so that reading and hashing take one transfer."""
-    return read_url(url)
-
-
-def _read_remote(url: str) -> Tensor:
-    return decode_image(_remote_bytes(url), strip_password(url))
-
-
-def _digest_remote(url: str) -> str:
-    try:
-        return hashlib.sha256(_remote_bytes(url)).hexdigest()
-    except RoadtorchError:
-        return ""
+def _digest_remote(url: str, data: bytes | None = None) -> str:
+    with suppress(RoadtorchError):
+        return hashlib.sha256(read_url(url) if data is None else data).hexdigest()
+    return ""
 
 
 # --- several images ---------------------------------------------------------------------

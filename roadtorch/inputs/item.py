@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import islice, takewhile
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 from torch import Tensor
@@ -16,7 +16,6 @@ from roadtorch.base.atomic import file_digest, folder_digest
 from roadtorch.base.bounded import to_printable
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import decode_image
-from roadtorch.base.urls import url_scheme
 
 _Value = TypeVar("_Value")
 
@@ -62,7 +61,7 @@ class Item:
         if self.load is None or self.digest is None:
             return self
         data, digest = cache(self.load), self.digest
-        read = lambda: decode_image(data(), self.file)  # noqa: E731
+        read = lambda: decode_image(data(), self.file or self.origin)  # noqa: E731
         return replace(self, read=read, digest=lambda: digest(data()))
 
     @property
@@ -132,7 +131,7 @@ class Source:
         rate: items per second, if known.
         count: number of items, if known.
         live: whether the newest frame is read, as from a camera.
-        path: file that is read, if there is one.
+        path: file or folder that is read, if there is one on this machine.
         footage: whether frames follow one another in time, so that they are smoothed.
     """
 
@@ -148,22 +147,14 @@ class Source:
     @property
     def row_name(self) -> str:
         """Name in index.csv: that of the results with the suffix of the file."""
-        return to_printable(self.name + self.location.suffix)
-
-    @property
-    def location(self) -> Path:
-        """Path of the file or folder that is read, or that of a URL."""
-        return self.path or Path(self.origin.partition("?")[0] if self.is_url else self.origin)
-
-    @property
-    def is_url(self) -> bool:
-        """True where the origin is an address."""
-        return bool(url_scheme(self.origin))
+        path = self.path or PurePosixPath(self.origin.partition("?")[0])
+        return to_printable(self.name + path.suffix)
 
     def digest(self) -> str:
         """Return the SHA-256 of the file, or of the files in a folder; "" if there is none."""
-        path = self.location
-        return folder_digest(path) if path.is_dir() else file_digest(path)
+        if self.path is None:
+            return ""
+        return folder_digest(self.path) if self.path.is_dir() else file_digest(self.path)
 
     def subsample(self, limit: int) -> "Source":
         """Return a source of at most ``limit`` evenly spaced items, the first ones if uncounted."""

@@ -194,7 +194,7 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
             problem = f"lacks {len(lost)} of its frames, the first at {lost[0]:.1f} seconds"
         problem += f": {ffmpeg_reason(failure)}"
         raise InputError(path, problem, "copy it again, or repair it")
-    if is_cut and (failure or track_duration(stream) or not _other_track_lasts(path)):
+    if is_cut:
         problem = f"ends after {end:.1f} of {length:.1f} seconds"
         raise InputError(path, problem, "the rest was used; copy it again, or repair it")
 
@@ -215,31 +215,17 @@ def stream_seconds(stream: "VideoStream", pts: int | None) -> float | None:
 
 
 def declared_duration(container: "InputContainer", stream: "VideoStream") -> float:
-    """Return the duration in seconds that the container declares; 0 if it declares none."""
-    duration, end = track_duration(stream), (container.duration or 0) / 1e6
-    if stream.duration:
-        return duration
-    return min(filter(None, (duration, end)), default=0.0) + (stream_seconds(stream, 0) or 0.0)
+    """Return the end in seconds that is declared for a video's track; 0 if none is.
 
-
-def track_duration(stream: "VideoStream") -> float:
-    """Return the duration or, by Matroska's tag, the end of a video's own track; 0 if unknown."""
+    It is the track's duration, or Matroska's tag, or that of a container without other tracks.
+    """
     if stream.duration:
         return float(stream.duration * (stream.time_base or 0))
     tags = (value for key, value in stream.metadata.items() if key.startswith("DURATION"))
     time = re.fullmatch(r"(\d+):(\d+):(\d+\.?\d*)", next(tags, ""))
-    return int(time[1]) * 3600 + int(time[2]) * 60 + float(time[3]) if time else 0.0
-
-
-def _other_track_lasts(path: Path | str) -> bool:
-    """Return whether a track other than the video lasts to the declared end of the container."""
-    with open_video(path) as (container, stream), suppress(import_av().FFmpegError):
-        for packet in container.demux():
-            if packet.stream is not stream and packet.pts is not None:
-                end = float((packet.pts + (packet.duration or 0)) * packet.time_base)
-                if end + END_TOLERANCE >= (container.duration or 0) / 1e6:
-                    return True
-    return False
+    end = int(time[1]) * 3600 + int(time[2]) * 60 + float(time[3]) if time else 0.0
+    whole = (container.duration or 0) / 1e6 if end or len(container.streams) == 1 else 0.0
+    return min(filter(None, (end, whole)), default=0.0) + (stream_seconds(stream, 0) or 0.0)
 
 
 def _raise_damaged(origin: str) -> Tensor:

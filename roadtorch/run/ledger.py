@@ -212,7 +212,9 @@ def open_ledger(
     with lock_folder(out):
         rows = read_index(out / INDEX_FILE)
         claims = dict.fromkeys((INDEX_FILE, INFER_CONFIG), "")
-        claims |= {name: _input_name(item, out) for name, item in results.items()}
+        for name, item in results.items():
+            file = item and (item.file if isinstance(item, Item) else item.path)
+            claims[name] = relative_name(file, out) if file else item.origin if item else ""
         with claim_results(out, claims, overwrite, is_same):
             settings = to_printable(f"{effective}\n").encode()
             try:
@@ -230,12 +232,3 @@ def open_ledger(
             finally:
                 ledger.check_folder()
                 write_index(out / INDEX_FILE, rows.values())
-
-
-def _input_name(item: Item | Source | None, out: Path) -> str:
-    """Return the name of an input in the ledger; empty for the run itself."""
-    if item is None:
-        return ""
-    if isinstance(item, Item):
-        return relative_name(item.file, out) if item.file else item.origin
-    return item.origin if item.live or item.is_url else relative_name(item.location, out)

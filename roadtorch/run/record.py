@@ -7,16 +7,11 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import import_module
 
-import cv2
-import numpy as np
-import torch
-
 from roadtorch.base.atomic import write_json
 from roadtorch.base.bounded import strip_password
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ExitCode, RoadtorchError
 from roadtorch.base.signals import SigtermInterrupt
-from roadtorch.base.version import __version__
 from roadtorch.detectors.detector import Detector
 from roadtorch.layout.weights import count_corrected_images, hash_tensors
 from roadtorch.run.ledger import RUN_FILE, Ledger, index_text
@@ -49,11 +44,11 @@ def record_run(
         index = index_text(ledger.rows.values())
         document = {
             "versions": {  # results may depend on these
-                "roadtorch": __version__,
-                detector.runtime: _version(detector.runtime),
-                "torch": torch.__version__,
-                "numpy": np.__version__,
-                "opencv": cv2.__version__,
+                **{
+                    name: _version(name)
+                    for name in ("roadtorch", detector.runtime, "torch", "numpy")
+                },
+                "opencv": _version("cv2"),
                 "python": platform.python_version(),
                 "platform": platform.platform(),
             },

@@ -70,13 +70,7 @@ class Run:
                 tried = [self._record(row, bar) for row in bar]
             self._remove_leftovers(items)  # of workers that died
         stop.raise_if_requested()
-        failed = sum(self.ledger.rows[item.row_name].failed for item in todo)
-        done = f"{len(todo) - failed} done" + (f" ({again} redone)" if again else "")
-        counts = {"skipped (done before)": len(items) - len(todo), FAILED: failed}
-        if self._print_summary(done, counts, failed):
-            for line in least_trusted_lines(tried):
-                click.echo(line)
-        return 1 if failed else 0
+        return self._summarize(tried, len(items) - len(todo), again)
 
     def process_sources(self, plan: Plan, task: Task, smoothing: bool) -> int:
         """Process the sources that are not done yet, and return the exit code.
@@ -87,18 +81,12 @@ class Run:
         """
         if not plan.sources:
             return 0
-        ended = Counter[str]()
+        rows: list[IndexRow] = []
         for source, output in plan.sources:
             source_task = replace(task, kinds=output.kinds)
-            if self._is_done(source, source_task, output.suffixes):
-                ended["skipped (done before)"] += 1
-                continue
-            row = self._process_source(source, output, source_task, smoothing)
-            ended[row.status.partition(":")[0]] += 1
-        failed = ended[PARTIAL] + ended[FAILED]
-        counts = {status: ended[status] for status in ("skipped (done before)", PARTIAL, FAILED)}
-        self._print_summary(f"{ended[DONE]} done", counts, failed)
-        return 1 if failed else 0
+            if not self._is_done(source, source_task, output.suffixes):
+                rows.append(self._process_source(source, output, source_task, smoothing))
+        return self._summarize(rows, len(plan.sources) - len(rows))
 
     def _is_done(self, item: Item | Source, task: Task, suffixes: Sequence[str]) -> bool:
         done = self.ledger.is_done
@@ -146,7 +134,10 @@ class Run:
             row = replace(row, saved=" ".join(task.kinds), method=task.key, sha256=digest)
         self.ledger.add(row)
         if not self.options.quiet:
-            click.echo(f"roadtorch: {row.file}: {_count_frames(rows)}", err=True)
+            failed = sum(frame.failed for frame in rows)
+            counts = {"doubtful": sum(frame.doubtful for frame in rows), "failed": failed}
+            text = _join_counts(plural(len(rows) - failed, "frame"), counts)
+            click.echo(f"roadtorch: {row.file}: {text}", err=True)
             for line in least_trusted_lines(rows, only_doubtful=True)[1:]:
                 click.echo(line, err=True)
         if isinstance(error, KeyboardInterrupt):
@@ -184,13 +175,24 @@ class Run:
         self.ledger.add(row)
         return row
 
-    def _print_summary(self, done: str, counts: Mapping[str, int], failed: int) -> bool:
-        """Print one line on stderr with the counts that are not zero, unless quiet."""
-        if self.options.quiet and not failed:
-            return False
-        parts = [done, *(f"{count} {status}" for status, count in counts.items() if count)]
-        click.echo(f"roadtorch: {', '.join(parts)}; results in {self.ledger.folder}", err=True)
-        return True
+    def _summarize(self, rows: Sequence[IndexRow], skipped: int, again: int = 0) -> int:
+        """Print counts on stderr and the least trusted images, unless quiet; return the exit code.
+
+        rows: of all images, or all sources, that were processed. again: number of redone images.
+        """
+        statuses = Counter(row.status.partition(":")[0] for row in rows)
+        done = f"{statuses[DONE] + statuses[DOUBTFUL]} done" + (
+            f" ({again} redone)" if again else ""
+        )
+        counts = {"skipped (done before)": skipped}
+        counts |= {status: statuses[status] for status in (PARTIAL, FAILED)}
+        failed = statuses[PARTIAL] + statuses[FAILED]
+        if failed or not self.options.quiet:
+            text = _join_counts(done, counts)
+            click.echo(f"roadtorch: {text}; results in {self.ledger.folder}", err=True)
+            for line in least_trusted_lines(rows):
+                click.echo(line)
+        return 1 if failed else 0
 
 
 @contextmanager
@@ -226,21 +228,16 @@ def least_trusted_lines(rows: Iterable[IndexRow], only_doubtful: bool = False) -
 # --- one source ---------------------------------------------------------------------------
 
 
-def _count_frames(rows: Sequence[IndexRow]) -> str:
-    """Return the counts of a source's frames as text."""
-    failed, doubtful = sum(row.failed for row in rows), sum(row.doubtful for row in rows)
-    parts = [plural(len(rows) - failed, "frame")]
-    parts += [f"{doubtful} doubtful"] if doubtful else []
-    parts += [f"{failed} failed"] if failed else []
-    return ", ".join(parts)
+def _join_counts(first: str, counts: Mapping[str, int]) -> str:
+    """Return a text with the counts that are not zero."""
+    return ", ".join([first, *(f"{count} {status}" for status, count in counts.items() if count)])
 
 
 def _file_state(source: Source) -> tuple[float, ...]:
     """Return what changes with the file of a source: the frames and the hash are read in turn."""
-    try:
-        state = source.location.stat()
-    except OSError:
+    if source.path is None or not source.path.exists():
         return ()
+    state = source.path.stat()
     return state.st_ino, state.st_size, state.st_mtime_ns
 
 

@@ -1,23 +1,18 @@
 """roadtorch infer on bags: the bags it writes, read by rosbags."""
 
 import shutil
-import tempfile
-import warnings
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 
-from roadtorch.cli.infer import infer_command
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.inputs.bags import bag_source
-from tests.command import GREY, ROWS, Call, invoke_command, read_index_rows
+from tests.command import GREY, ROWS, Call, read_index_rows
 from tests.inputs.bags import FIRST, STEP, write_drive
 from tests.run.writers.test_bags import read_bag
-from tests.videos import read_frame_times, street_pixels, write_video
+from tests.videos import street_pixels, write_video
 
 TOPICS = {f"/segmentation/{name}" for name in ("mask", "confidence", "overlay", "label_info")}
 
@@ -90,35 +85,3 @@ def test_a_video_gives_a_bag_with_its_seconds(call: Call, tmp_path: Path, out: P
     stamps = [entry.stamp for entry in messages if entry.topic == "/segmentation/mask"]
     assert stamps == pytest.approx([0, 1e8, 2e8], abs=1)
     assert messages[-1].message.header.frame_id == "camera"
-
-
-STAMPS = st.lists(
-    st.sampled_from([0, 5 * 10**9, FIRST, FIRST + STEP]) | st.integers(1, 2**32 * 10**9 - 1),
-    min_size=1,
-    max_size=6,
-)
-"""Stamps of headers: missing, of 1970, repeated, with steps and gaps, up to those of 2106."""
-
-
-@settings(max_examples=8)
-@given(STAMPS, st.sampled_from(["bag", "mcap"]))
-@example([FIRST + STEP, FIRST, FIRST + STEP], "mcap")  # less than a second back
-def test_every_frame_has_a_row_an_image_and_a_mask_whatever_its_stamp(
-    stamps: list[int], form: str
-) -> None:
-    images = [street_pixels(number, 16, 16) for number in range(len(stamps))]
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        drive = write_drive(Path(folder), form, images, 60.0, stamps)
-        out = Path(folder) / "out"
-
-        result = invoke_command(infer_command, drive, *ROWS, "--out", out, "--jobs", 1)
-
-        assert result.exit_code == 0, result.stderr
-        assert len(read_index_rows(out)) == len(stamps) + 1
-        assert len(read_frame_times(out / "drive.overlay.mp4")) == len(stamps)
-        messages = [entry for entry in read_bag(road_bag(drive, out)) if "mask" in entry.topic]
-        written = [entry.message.header.stamp for entry in messages]
-        recorded = [FIRST + STEP * number for number in range(len(stamps))]
-        expected = [stamp or time for stamp, time in zip(stamps, recorded, strict=True)]
-        assert [stamp.sec * 10**9 + stamp.nanosec for stamp in written] == expected

@@ -113,9 +113,8 @@ def test_polygons_are_the_mask_and_coco_has_all(call: Call, tmp_path: Path, out:
     assert files == [["1.png"], ["1.png", r"2\xff.png"]]
     for name, entry in zip(names, cocos[1]["annotations"], strict=True):
         mask = np.asarray(Image.open(out / f"{name}.mask.png")) == 255
-        file = cocos[1]["images"][entry["image_id"] - 1]["file_name"]
-        labels = read_coco_labels(out / f"{name}.coco.json", {file: mask.shape})
-        assert np.array_equal(labels[file] == 1, mask)
+        labels = read_coco_labels(out / f"{name}.coco.json", {f"{name}.png": mask.shape})
+        assert np.array_equal(labels[f"{name}.png"] == 1, mask)
         assert entry["area"] == mask.sum() > 0
 
 
@@ -250,7 +249,7 @@ ODD = {
     "damaged.png": "cannot be decoded: ",
     "empty.png": "is empty",
     "gone": "does not exist",
-    "loop.png": "does not exist",
+    "loop.png": "cannot be read: Too many levels of symbolic links",
     "none.jpg": "does not exist",
     "oversized.png": "has more than ",
     "pipe.png": "cannot be read: it is a pipe or a device, not a file",
@@ -269,7 +268,7 @@ def test_each_odd_input_costs_its_own_row(call: Call, tmp_path: Path, out: Path)
     folder = tmp_path / "in"
     write_odd(folder)
     (tmp_path / "list.txt").write_text(f"{folder}\n{folder / 'gone'}/\n{folder / 'none.jpg'}\n")
-    words = ("infer", f"@{tmp_path / 'list.txt'}", *ROWS, "--out", out, "--save", "mask")
+    words = ("infer", f"@{tmp_path / 'list.txt'}", *ROWS, "--out", out)
 
     for count in ("4 done", "0 done, 4 skipped (done before)"):
         result = call(*words, "--jobs", "2")
