@@ -16,26 +16,20 @@ from torch import Tensor
 
 from roadtorch.base.bounded import strip_password
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.base.image import READABLE_FORMATS, read_image
+from roadtorch.base.image import IMAGE_SUFFIXES, read_image
 from roadtorch.base.urls import WEB_SCHEMES, slug, url_scheme
 from roadtorch.inputs.bags import BAG_SUFFIXES, bag_source, is_bag
 from roadtorch.inputs.images import (
     ListedFile,
     drop_duplicates,
-    is_image_name,
+    is_result_name,
     list_files,
     make_image_item,
     open_web_image,
 )
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.inputs.live import STREAMS, camera_source, stream_source
-from roadtorch.inputs.video import (
-    VIDEO_SUFFIXES,
-    count_frames,
-    is_video_name,
-    video_frames,
-    video_source,
-)
+from roadtorch.inputs.video import VIDEO_SUFFIXES, count_frames, video_frames, video_source
 
 CAMERA_PATTERN = re.compile(r"(?:camera:)?(\d+)")
 """Number of a camera. An existing file ``0`` takes precedence over ``0``, not over ``camera:0``."""
@@ -79,8 +73,6 @@ def find_inputs(
             images.append(image)
         elif scheme in STREAMS:
             sources.append(stream_source(argument, name, selection))
-        elif is_bag(argument) and not Path(argument).is_dir():
-            sources.append(bag_source(argument, selection.topic, selection))
         else:
             files = list_files(argument, _is_footage, exclude)
             for file in files:
@@ -90,8 +82,6 @@ def find_inputs(
                     sources.append(video_source(file.path, file.stem, selection))
                 else:
                     images.append(make_image_item(file))
-            if not files:
-                raise InputError(argument, "holds no images", f"give {READABLE_FORMATS} files")
     if inputs and not images and not sources:
         raise InputError(inputs[0], "contains no names", "give one a line")
     return Inputs(drop_duplicates(images), sources)
@@ -99,8 +89,10 @@ def find_inputs(
 
 def _is_footage(path: str) -> bool:
     """Return whether a path is an image, a video or a bag by its name."""
-    is_hidden = os.path.basename(path)[:1] in ("", ".")
-    return is_image_name(path) or is_video_name(path) or (not is_hidden and is_bag(path))
+    name = os.path.basename(path).lower()
+    if name[:1] in ("", ".") or is_result_name(name):
+        return False
+    return name.endswith((*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)) or is_bag(path)
 
 
 def _open_bag_in_folder(file: ListedFile, selection: Selection, alone: bool) -> Source:

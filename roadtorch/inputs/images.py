@@ -63,7 +63,7 @@ def list_files(
     files that it matches or, if none of them is wanted, for the folders. Results of roadtorch are
     left out; what else might hold images is reported. A folder that ``accepts`` is one file: a bag.
     Names are relative to the folder, or to the part of the glob before its first wildcard.
-    InputError for a URL.
+    InputError for a URL, and where there is none.
     """
     path = os.fspath(location)
     if not path:
@@ -99,6 +99,8 @@ def list_files(
         unread = [os.path.relpath(file, folder) for file in below if may_be_footage(file)]
         names = {os.path.relpath(file, folder) for file in files}
         warn_of_unread(folder, [name for name in unread if name not in names])
+    if not files:
+        raise InputError(path, "holds no images", f"give {READABLE_FORMATS} files")
     paths = map(Path, dict.fromkeys(files))
     return [ListedFile(path, path.relative_to(root).as_posix()) for path in paths]
 
@@ -205,13 +207,8 @@ def find_images(
     Raises:
         InputError: for a folder or glob without images, and if none of the files exists.
     """
-    images: list[Item] = []
-    for location in inputs:
-        files = list_files(location, is_image_name, exclude)
-        if not files:
-            raise InputError(location, "holds no images", f"give {READABLE_FORMATS} files")
-        images += map(make_image_item, files)
-    return drop_duplicates(images)
+    files = [file for location in inputs for file in list_files(location, is_image_name, exclude)]
+    return drop_duplicates([*map(make_image_item, files)])
 
 
 def drop_duplicates(images: Sequence[Item]) -> list[Item]:

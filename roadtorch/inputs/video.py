@@ -6,7 +6,6 @@ from contextlib import closing, contextmanager, suppress
 from functools import partial
 from heapq import heappop, heappush
 from itertools import islice
-from os.path import basename
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,7 +18,6 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import from_pixels, report_decoding_errors
 from roadtorch.base.urls import encode_url
 from roadtorch.inputs.clock import FrameClock
-from roadtorch.inputs.images import is_result_name
 from roadtorch.inputs.item import Item, Selection, Source
 
 if TYPE_CHECKING:
@@ -40,12 +38,6 @@ SQUARE_TOLERANCE = 0.01  # of pixels that count as square: encoders round the as
 
 END_TOLERANCE = 0.5
 """Tolerated seconds from the last frame to the declared end; cameras with sound leave as much."""
-
-
-def is_video_name(name: str) -> bool:
-    """Return whether a file name is that of a video and of no result of roadtorch."""
-    name = basename(name).lower()
-    return name.endswith(VIDEO_SUFFIXES) and not is_result_name(name) and name[0] != "."
 
 
 def import_av() -> Any:

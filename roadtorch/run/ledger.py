@@ -211,7 +211,7 @@ def open_ledger(
 
     with lock_folder(out):
         rows = read_index(out / INDEX_FILE)
-        claims = dict.fromkeys((INDEX_FILE, INFER_CONFIG), "")
+        claims: dict[str, str] = dict.fromkeys((INDEX_FILE, INFER_CONFIG), "")
         for name, item in results.items():
             file = item and (item.file if isinstance(item, Item) else item.path)
             claims[name] = relative_name(file, out) if file else item.origin if item else ""

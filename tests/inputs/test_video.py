@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import av
 import pytest
@@ -26,6 +27,16 @@ FORTY = [n / 10 for n in range(40)]  # seconds of frames
 
 def chosen(path: Path, **selection: float) -> list[Item]:
     return list(video_source(path, "drive", Selection(**selection)).items())  # pyright: ignore
+
+
+def check_from(path: Path, start: float, limit: int = 5, **selection: float) -> list[int]:
+    """Assert that frames from a start are those of the whole run; return their numbers."""
+    every = {frame.number: frame for frame in chosen(path)}
+    late = chosen(path, start=start, limit=limit, **selection)
+    for frame in late:
+        assert frame.seconds == pytest.approx(every[frame.number].seconds)
+        assert torch.equal(frame.read(), every[frame.number].read())
+    return [frame.number for frame in late]
 
 
 def read_until_problem(path: Path) -> tuple[list[bool], str]:
@@ -63,16 +74,10 @@ def test_frames_have_names_numbers_and_seconds(tmp_path: Path) -> None:
 def test_frames_are_the_same_whatever_the_start(open_gop: str, tmp_path: Path) -> None:
     options = {"g": "7", "bf": "2", "x264-params": f"open-gop={open_gop}:scenecut=0"}
     path = write_video(tmp_path / "drive.mkv", FORTY, options=options)
-    every = {frame.number: frame for frame in chosen(path)}
-    selected = chosen(path, every=4, start=1.0, end=2.5, limit=3)
-    assert [frame.number for frame in selected] == [10, 14, 18]
 
-    for start in (0.05, 0.7, 1.95, 3.9):
-        late = chosen(path, start=start, limit=3)
-        assert late[0].number == next(n for n in every if n / 10 >= start - 1e-9)
-        for frame in late:
-            assert frame.seconds == every[frame.number].seconds
-            assert torch.equal(frame.read(), every[frame.number].read())
+    for start, first in ((0.05, 1), (0.7, 7), (1.95, 20), (3.9, 39)):
+        assert check_from(path, start, 3)[0] == first
+    assert check_from(path, 1.0, 3, every=4, end=2.5) == [10, 14, 18]
 
 
 TURNS = [(a, 0, 0, d) for a in (1, -1) for d in (1, -1)]
@@ -106,15 +111,9 @@ def test_numbers_are_those_of_the_whole_run_in_a_trimmed_video(
 ) -> None:
     whole = write_video(tmp_path / "whole.mp4", FORTY, options={"g": "10", "bf": "0"})
     path = hide_frames(tmp_path / "drive.mp4", whole, hidden)
-    every = {frame.number: frame for frame in chosen(path)}
 
-    late = chosen(path, start=start, limit=5)
-
-    assert count_frames(path) == len(every) == 40 - hidden
-    assert [frame.number for frame in late] == list(range(round(start * 10), round(start * 10) + 5))
-    for frame in late:
-        assert frame.seconds == pytest.approx(every[frame.number].seconds)
-        assert torch.equal(frame.read(), every[frame.number].read())
+    assert count_frames(path) == 40 - hidden
+    assert check_from(path, start) == [round(start * 10) + number for number in range(5)]
 
 
 def test_numbers_are_those_of_the_whole_run_where_the_first_key_frame_is_cut_off(
@@ -126,13 +125,8 @@ def test_numbers_are_those_of_the_whole_run_where_the_first_key_frame_is_cut_off
         cut = [packet.pos for packet in container.demux(video=0)][5]
     data = path.read_bytes()
     path.write_bytes(data[: 3 * 188] + data[cut:])  # tables, then the sixth frame
-    every = {frame.number: frame for frame in chosen(path)}
 
-    late = chosen(path, start=2.5, limit=5)
-
-    for frame in late:
-        assert frame.seconds == pytest.approx(every[frame.number].seconds)
-        assert torch.equal(frame.read(), every[frame.number].read())
+    assert len(check_from(path, 2.5)) == 5
 
 
 @pytest.mark.parametrize(("first", "second"), [(0, 0), (100, 0), (0, 0.5)])
@@ -162,16 +156,6 @@ def test_the_largest_stream_is_read(
     path = write_tracks(tmp_path / f"drive{suffix}", sizes)
 
     assert chosen(path)[0].read().shape == (3, 96, 128)
-
-
-@pytest.mark.parametrize("begin", [0.0, 2.0])
-@pytest.mark.parametrize("suffix", [".mkv", ".flv", ".mp4", ".avi", ".ts", "untagged.mkv"])
-def test_sound_may_outlast_the_images(suffix: str, begin: float, tmp_path: Path) -> None:
-    path = write_tracks(tmp_path / f"drive{suffix}", [(48, 64)], sound=4.0, begin=begin)
-    if suffix == "untagged.mkv":  # the tag of a track's duration
-        path.write_bytes(path.read_bytes().replace(b"DURATION", b"LOCATION"))
-
-    assert read_until_problem(path) == ([True] * 10, "")
 
 
 @pytest.mark.parametrize(
@@ -244,30 +228,32 @@ def test_pixels_become_square(aspect: str, size: tuple[int, int], tmp_path: Path
     assert chosen(path)[0].read().shape == (3, *size)
 
 
-@pytest.mark.parametrize(
-    ("suffix", "codec", "options"),
-    [
-        (".mp4", "libx264", {"bf": "3", "g": "12", "x264-params": "open-gop=1"}),
-        (".ts", "libx264", {"x264-params": "interlaced=1"}),
-        (".webm", "libvpx", {"auto-alt-ref": "1", "lag-in-frames": "16"}),
-        (".avi", "mpeg4", {"bf": "2"}),
-    ],
-)
-def test_whole_videos(suffix: str, codec: str, options: dict[str, str], tmp_path: Path) -> None:
-    path = write_video(tmp_path / f"a{suffix}", FORTY, codec=codec, options=options, ticks=10)
-
-    seconds = [frame.seconds or 0.0 for frame in chosen(path)]
-
-    assert [at - seconds[0] for at in seconds] == pytest.approx(FORTY, abs=0.02)
-    assert len(list(video_frames(path, "a", 2.0))) <= 40
+WHOLE: dict[str, dict[str, Any]] = {
+    "a.mp4": {"options": {"bf": "3", "g": "12", "x264-params": "open-gop=1"}},
+    "a.ts": {"options": {"x264-params": "interlaced=1"}},
+    "a.webm": {"codec": "libvpx", "options": {"auto-alt-ref": "1", "lag-in-frames": "16"}},
+    "a.avi": {"codec": "mpeg4", "options": {"bf": "2"}},
+    "unstated.webm": {"codec": "libvpx", "live": True},
+    "paused.avi": {"codec": "mjpeg", "seconds": [*FORTY[:20], 3.9]},
+}
 
 
-def test_what_says_nothing_of_its_length_or_holds_its_last_frame_is_whole(tmp_path: Path) -> None:
-    live = write_video(tmp_path / "a.webm", codec="libvpx", live=True)
-    paused = write_video(tmp_path / "b.avi", [*FORTY[:20], 3.9], codec="mjpeg", ticks=10)
+@pytest.mark.parametrize("name", WHOLE)
+def test_whole_videos_are_read_without_a_word(name: str, tmp_path: Path) -> None:
+    values = {"seconds": FORTY, "ticks": 10} | WHOLE[name]
+    path = write_video(tmp_path / name, **values)
 
-    assert read_until_problem(live) == ([True] * 12, "")
-    assert read_until_problem(paused) == ([True] * 21, "")
+    assert read_until_problem(path) == ([True] * len(values["seconds"]), "")
+
+
+@pytest.mark.parametrize("begin", [0.0, 2.0])
+@pytest.mark.parametrize("suffix", [".mkv", ".flv", ".mp4", ".avi", ".ts", "untagged.mkv"])
+def test_sound_may_outlast_the_images(suffix: str, begin: float, tmp_path: Path) -> None:
+    path = write_tracks(tmp_path / f"drive{suffix}", [(48, 64)], sound=4.0, begin=begin)
+    if suffix == "untagged.mkv":  # the tag of a track's duration
+        path.write_bytes(path.read_bytes().replace(b"DURATION", b"LOCATION"))
+
+    assert read_until_problem(path) == ([True] * 10, "")
 
 
 @pytest.mark.parametrize(("missing", "is_told"), [(4, False), (7, True)])

@@ -13,6 +13,7 @@ from unittest.mock import Mock
 import cv2
 import pytest
 import torch
+from click.testing import Result
 
 from roadtorch.annotate.session import open_session
 from roadtorch.base.image import write_mask, write_rgb
@@ -201,30 +202,29 @@ def test_files_of_others_stay(
 def test_results_of_another_input_stay(
     call: Call, root: Path, tmp_path: Path, line: str, other: str
 ) -> None:
-    write_video(root / "street.avi", codec="mjpeg")
-    words, out = split_command(root, line), tmp_path / "out"
     (tmp_path / "far").mkdir()
-    moved, elsewhere = [tmp_path / folder / other for folder in ("moved", "far")]
-    assert call(*words, "--out", out).exit_code == 0
+    out = tmp_path / "out"
+
+    def run_in(folder: Path, *options: str) -> Result:
+        return call(*split_command(folder, line), "--out", out, *options)
+
+    write_video(root / "street.avi", codec="mjpeg")
+    assert run_in(root).exit_code == 0
     contents = bytes_in(out)
     shutil.copytree(root, tmp_path / "moved")
-    if elsewhere.suffix:
-        write_video(elsewhere, (0.0, 0.1), codec="mjpeg")
-    else:
-        for seed in (2, 3):
-            write_image(elsewhere / f"street_{seed - 2}.png", render_scene(seed, *SIZE))
+    write_video(tmp_path / "far" / "street.avi", (0.0, 0.1), codec="mjpeg")
+    for seed in (2, 3):
+        image = tmp_path / "far" / "streets" / f"street_{seed - 2}.png"
+        write_image(image, render_scene(seed, *SIZE))
 
-    refused = call(
-        *[str(elsewhere) if word.endswith(other) else word for word in words], "--out", out
-    )
+    refused = run_in(tmp_path / "far")
 
     assert refused.exit_code == 2
     assert f"is a result of ../in/{other}" in refused.stderr
     assert bytes_in(out) == contents
-    same = call(*[str(moved) if word.endswith(other) else word for word in words], "--out", out)
+    same = run_in(tmp_path / "moved")
     assert (same.exit_code, "0 done" in same.stderr) == (0, True), same.stderr
-    words = [str(elsewhere) if word.endswith(other) else word for word in words]
-    assert call(*words, "--out", out, "--overwrite").exit_code == 0
+    assert run_in(tmp_path / "far", "--overwrite").exit_code == 0
 
 
 def without_archives(files: dict[str, bytes]) -> dict[str, bytes]:

@@ -1,6 +1,7 @@
 """roadtorch infer on videos and streams: real files in, real files out."""
 
 import hashlib
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,7 +21,8 @@ from roadtorch.inputs.item import Item, Selection
 from roadtorch.inputs.video import video_source
 from roadtorch.run.writers.video import VideoWriter
 from tests.command import GREY, ROWS, Call, bytes_in, files_in, read_index_rows
-from tests.inputs.bags import write_drive
+from tests.inputs.bags import FIRST, STEP, write_drive
+from tests.run.writers.test_bags import read_bag
 from tests.videos import (
     read_frame_pixels,
     read_frame_times,
@@ -106,20 +108,45 @@ def test_neither_the_number_of_jobs_nor_the_source_changes_a_byte(
     assert lasting[0] == lasting[1]
 
 
-# --- a second run -----------------------------------------------------------------------
+# --- bags -------------------------------------------------------------------------------
 
 
-def test_a_done_video_is_skipped_until_something_changes(run: Call, drive: Path, out: Path) -> None:
-    run()
+@pytest.mark.parametrize("form", ["bag", "mcap"])
+def test_a_done_bag_is_skipped_until_it_or_its_results_change(
+    call: Call, tmp_path: Path, out: Path, form: str
+) -> None:
+    drive = write_drive(tmp_path, form, [street_pixels(n) for n in range(4)], 60.0)
+    road = out / ("drive.road.bag" if form == "bag" else "drive.road")
+    run = partial(call, "infer", drive, *ROWS, "--out", out)
+    assert run().exit_code == 0
+    assert read_index_rows(out)["drive/000002"]["saved"] == "overlay bag"
+    assert "1 skipped (done before)" in run().stderr
 
-    again = run()
-    thinned = run("--every", "4")
+    with (drive / "note.txt" if drive.is_dir() else drive).open("ab") as file:
+        file.write(b" ")
+    assert "(done before)" not in run().stderr
+    shutil.rmtree(road, ignore_errors=True)
+    road.unlink(missing_ok=True)
+    assert "(done before)" not in run().stderr
+    assert "(done before)" not in run("--save", "bag", "--every", "2").stderr
 
-    assert again.stderr == f"roadtorch: 0 done, 1 skipped (done before); results in {out}\n"
-    assert thinned.stderr.startswith("roadtorch: drive.mp4: 3 frames")
-    assert len(read_index_rows(out)) == 4  # those of the first run are gone
-    (out / "drive.overlay.mp4").unlink()
-    assert "3 frames" in run("--every", "4").stderr
+    messages = list(read_bag(road))
+    names = ("mask", "confidence", "overlay", "label_info")
+    assert {entry.topic for entry in messages} == {f"/segmentation/{name}" for name in names}
+    masks = [entry for entry in messages if entry.topic.endswith("/mask")]
+    assert [entry.stamp for entry in masks] == [FIRST + 7, FIRST + 2 * STEP + 7]
+    assert {entry.message.header.frame_id for entry in masks} == {"camera_optical"}
+    left = {path.name.partition(".")[0] for path in out.iterdir()}
+    assert left == {"", "config", "drive", "index", "run"}
+    assert len(read_index_rows(out)) == 3  # frames of earlier runs are gone
+
+
+def test_a_video_gives_a_bag_with_its_seconds(run: Call, out: Path) -> None:
+    assert run("--save", "bag", "--limit", 3).exit_code == 0
+
+    messages = [entry for entry in read_bag(out / "drive.road") if entry.topic.endswith("/mask")]
+    assert [entry.stamp for entry in messages] == pytest.approx([0, 1e8, 2e8], abs=1)
+    assert messages[-1].message.header.frame_id == "camera"
 
 
 # --- what goes wrong --------------------------------------------------------------------

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from pathlib import Path
 
 import numpy as np
 
@@ -39,14 +38,7 @@ VIDEOS = {
 
 def is_from_bag(source: Source) -> bool:
     """Return whether a source is a bag."""
-    return not source.live and is_bag(source.origin)
-
-
-def bag_suffix(source: Source, suffix: str) -> str:
-    """Return the suffix of the bag to write: ROS 1 where the source is a ROS 1 bag, else ROS 2."""
-    path = Path(source.origin)
-    is_ros1 = is_from_bag(source) and path.suffix == ".bag" and path.is_file()
-    return f"{suffix}.bag" if is_ros1 else suffix
+    return source.path is not None and is_bag(source.origin)
 
 
 @dataclass(frozen=True)
@@ -64,7 +56,9 @@ class MapOutput:
         """Return the outputs for a source."""
         defaults = DEFAULT_BAG_KINDS if is_from_bag(source) else DEFAULT_FOOTAGE_KINDS
         kinds = defaults if self.kinds is None else self.kinds
-        suffixes = {**VIDEOS, "bag": bag_suffix(source, ".road")}
+        path = source.path
+        is_ros1 = path is not None and path.suffix == ".bag" and path.is_file()
+        suffixes = {**VIDEOS, "bag": ".road.bag" if is_ros1 else ".road"}
         streams = {kind: suffixes[kind] for kind in kinds if kind in suffixes}
         frame_kinds = set(kinds) - suffixes.keys()
         if "overlay-frames" in kinds:

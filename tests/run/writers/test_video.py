@@ -3,11 +3,12 @@ from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import torch
-from av.error import FFmpegError, InvalidDataError, PatchWelcomeError
+from av.error import InvalidDataError, PatchWelcomeError
 
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import to_pixels
@@ -75,22 +76,31 @@ def test_any_rate_gives_all_frames(step: float, tmp_path: Path) -> None:
     assert read_frame_times(path) == pytest.approx([0, step, 2 * step], abs=1e-4)
 
 
-@pytest.mark.parametrize("error", [PatchWelcomeError, InvalidDataError])
-def test_errors_of_the_encoder_name_the_video(
-    error: type[FFmpegError], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+FULL = OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize(
+    ("error", "problem"),
+    [
+        (PatchWelcomeError(1, "Not yet implemented"), "cannot be encoded: Not yet implemented"),
+        (InvalidDataError(1, "Not yet implemented"), "cannot be encoded: Not yet implemented"),
+        (FULL, r"cannot be written: No space left on device \(make room"),
+    ],
+)
+def test_an_error_of_encoder_or_disk_names_the_video_and_leaves_nothing(
+    error: Exception, problem: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writer = VideoWriter(tmp_path / "x.mp4", draw_pixels, 10)
     writer.write(frame(0), detection(street_pixels(0)))
+    container = SimpleNamespace(mux=Mock(side_effect=error), close=writer._container.close)
+    monkeypatch.setattr(writer, "_container", container)
 
-    def fail(*_: object) -> None:
-        raise error(1, "Not yet implemented")
-
-    monkeypatch.setattr(writer, "_container", SimpleNamespace(mux=fail, close=fail))
-    message = r"x\.mp4: cannot be encoded: Not yet implemented"
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=rf"x\.mp4: {problem}"):
         writer.write(frame(1), detection(street_pixels(1)))
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=rf"x\.mp4: {problem}"):
         writer.close()
+
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("size", [(47, 64), (48, 63), (47, 63)])
@@ -112,23 +122,6 @@ def test_masks_stay_masks_and_other_sizes_become_the_first(tmp_path: Path) -> No
     frames = read_frame_pixels(tmp_path / "x.mp4")
     assert ((frames[0][..., 0] > 127) == (mask > 0)).mean() > 0.99
     assert [pixels.shape for pixels in frames] == [(48, 64, 3)] * 2
-
-
-def test_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    writer = VideoWriter(tmp_path / "x.mp4", draw_pixels, 10)
-    writer.write(frame(0), detection(street_pixels(0)))
-
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    full_container = SimpleNamespace(mux=full, close=writer._container.close)
-    monkeypatch.setattr(writer, "_container", full_container)
-    with pytest.raises(InputError, match=r"x.mp4: cannot be written: No space left .*\(make room"):
-        writer.write(frame(1), detection(street_pixels(1)))
-    with pytest.raises(InputError, match=r"x.mp4: cannot be written: No space left"):
-        writer.close()
-
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_same_frames_give_the_same_bytes_wherever_memory_lies(tmp_path: Path) -> None:
