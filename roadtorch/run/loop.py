@@ -95,6 +95,7 @@ class Task:
     writer: FileWriter
     key: str  # of all but the image that results depend on, see ``cache_key``
     kinds: tuple[str, ...]  # of results that are written
+    streams: Sequence[Writer] = ()  # of a whole source, as videos; an error ends the source
 
     def __call__(self, item: Item) -> IndexRow:
         """Process an image and return its row; an error becomes a failed row."""
@@ -105,9 +106,9 @@ class Task:
         """Write the results of an image or frame, and return its row of index.csv.
 
         detect: returns the detection, or raises: any error makes a failed row. ms: milliseconds
-        spent on the item before this call.
+        spent on the item before this call. Raises the errors of streams.
         """
-        start = perf_counter()
+        start, detection = perf_counter(), None
         seconds = "" if item.seconds is None else f"{item.seconds:.3f}"
         try:
             detection = detect()
@@ -119,7 +120,6 @@ class Task:
                 item.row_name,
                 str(width),
                 str(height),
-                elapsed_ms(start, ms),
                 road_fraction=f"{np.count_nonzero(detection.mask.numpy()) / (width * height):.4f}",
                 trust="" if detection.trust is None else f"{detection.trust:.2f}",
                 status=f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE,
@@ -128,10 +128,15 @@ class Task:
                 sha256=item.digest() if item.digest else "",
                 seconds=seconds,
             )
-            return replace(row, **changes)
+            row = replace(row, **changes)
         except Exception as error:  # one image that breaks a detector must not end a long run
             row = failed_row(item.row_name, to_input_error(item.origin, error))
-            return replace(row, seconds=seconds)
+            row = replace(row, seconds=seconds)
+        if detection is not None:
+            for writer in self.streams:
+                writer.write(item, detection)
+        spent = ms + 1000 * (perf_counter() - start)
+        return row if row.failed else replace(row, ms=f"{spent:.0f}")
 
 
 def make_subfolder(folder: Path, name: str) -> None:
@@ -139,11 +144,6 @@ def make_subfolder(folder: Path, name: str) -> None:
     if not folder.is_dir():
         raise InputError(folder, "was moved during the run", "run it again, --out where it is")
     make_folder((folder / name).parent, OUT_HINT)
-
-
-def elapsed_ms(start: float, ms: float = 0.0) -> str:
-    """Format the milliseconds since ``start`` (``perf_counter``), plus ``ms``."""
-    return f"{ms + 1000 * (perf_counter() - start):.0f}"
 
 
 def crashed_row(item: Item) -> IndexRow:

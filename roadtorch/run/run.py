@@ -7,7 +7,6 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import Any, cast
 
 import click
@@ -21,15 +20,7 @@ from roadtorch.detectors.stream import FrameResult, detect_frames
 from roadtorch.inputs.item import Item, Source
 from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSettings
 from roadtorch.run.ledger import DONE, DOUBTFUL, FAILED, PARTIAL, IndexRow, Ledger, open_ledger
-from roadtorch.run.loop import (
-    Inference,
-    Task,
-    Writer,
-    crashed_evidence,
-    crashed_row,
-    elapsed_ms,
-    run_behind,
-)
+from roadtorch.run.loop import Inference, Task, crashed_evidence, crashed_row, run_behind
 from roadtorch.run.plan import Output, Plan, RunOptions
 from roadtorch.run.workers import Workers
 
@@ -118,9 +109,13 @@ class Run:
                 steps = (temporal_filter, output.cues, stop, spread)
                 frames = detect_frames(source, cast("Inference", task.infer), *steps)
                 with closing(frames), self._progress(frames, "frame", source.count) as bar:
-                    frame_task = replace(task, writer=writers.files)
-                    write = partial(self._write_frame, frame_task, writers.streams, rows, bar)
-                    run_behind(write, bar)
+                    write = replace(task, writer=writers.files, streams=writers.streams).write_row
+
+                    def record(frame: FrameResult) -> None:
+                        row = write(frame.item, frame.detection, frame.ms)
+                        rows.append(self._record(row, bar))
+
+                    run_behind(record, bar)
             if _file_state(source) != state:
                 raise InputError(source.origin, "changed while it was read", "run it again")
             stop.raise_if_requested()
@@ -145,23 +140,6 @@ class Run:
         if row.failed:
             click.echo(f"roadtorch: {row.status}", err=True)
         return row
-
-    def _write_frame(
-        self,
-        task: Task,
-        streams: Sequence[Writer],
-        rows: list[IndexRow],
-        bar: Progress,
-        frame: FrameResult,
-    ) -> None:
-        """Write the results of a frame, and record its row, also in ``rows``."""
-        row = task.write_row(frame.item, frame.detection, frame.ms)
-        start = perf_counter()
-        if not isinstance(frame.outcome, RoadtorchError):
-            for writer in streams:
-                writer.write(frame.item, frame.outcome)
-        row = row if row.failed else replace(row, ms=elapsed_ms(start, float(row.ms)))
-        rows.append(self._record(row, bar))
 
     # --- output on the terminal ---------------------------------------------------------
 

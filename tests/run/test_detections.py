@@ -54,29 +54,29 @@ def scene_source(count: int, closed: list[bool] | None = None, bad: int | None =
     return Source("x", "x", items)
 
 
-def test_detections_have_names_time_stamps_and_images(tmp_path: Path) -> None:
-    path = write_video(tmp_path / "drive.mp4")
+@pytest.mark.parametrize(
+    ("input_name", "names", "seconds"),
+    [
+        ("drive.mp4", [f"drive/{n:06d}" for n in (0, 3, 6, 9)], [0, 0.3, 0.6, 0.9]),
+        ("images", ["b", "sub/a"], [None, None]),  # a source that does not move
+    ],
+)
+def test_detections_have_names_time_stamps_and_images(
+    input_name: str, names: list[str], seconds: list[float | None], tmp_path: Path
+) -> None:
+    write_video(tmp_path / "drive.mp4")
+    for seed, name in enumerate(("b.png", "c.png", "d.png", "sub/a.jpg")):
+        save_image(tmp_path / "images" / name, seed)
 
-    frames = list(detect_stream(path, GREY, Selection(every=3), smoothing=False))
+    selection = Selection(every=3)
+    frames = list(detect_stream(tmp_path / input_name, GREY, selection, smoothing=False))
 
-    assert [frame.name for frame in frames] == [f"drive/{n:06d}" for n in (0, 3, 6, 9)]
-    assert [frame.seconds for frame in frames] == pytest.approx([0, 0.3, 0.6, 0.9])
+    assert [frame.name for frame in frames] == names
+    assert [frame.seconds for frame in frames] == pytest.approx(seconds)
     for frame in frames:
         assert frame.image is not None
         assert torch.equal(frame.likelihood, GREY.detect(frame.image).likelihood)
         assert torch.equal(frame.mask, GREY.detect(frame.image).mask)
-
-
-def test_images_are_a_source_that_does_not_move(tmp_path: Path) -> None:
-    save_image(tmp_path / "b.png", seed=1)
-    save_image(tmp_path / "sub" / "a.jpg", seed=2)
-
-    frames = list(detect_stream(tmp_path, GREY))
-
-    assert [(frame.name, frame.seconds) for frame in frames] == [("b", None), ("sub/a", None)]
-    for frame in frames:
-        assert frame.image is not None
-        assert torch.equal(frame.likelihood, GREY.detect(frame.image).likelihood)
 
 
 @pytest.mark.parametrize("smoothing", [True, False])

@@ -16,7 +16,6 @@ import pytest
 
 from roadtorch.detectors.detector import Detector
 from roadtorch.inputs.item import Item
-from roadtorch.run import memo
 from roadtorch.run.ledger import IndexRow
 from roadtorch.run.loop import Task
 from tests.command import ROWS, Call, bytes_in, files_in, read_index_rows
@@ -59,21 +58,6 @@ def test_other_options_are_not_done_before(
     assert bytes_in(tmp_path / "alone").items() <= bytes_in(out).items()
     for nothing_new in (third, fewer):
         assert nothing_new.stderr.startswith("roadtorch: 0 done, 3 skipped")
-
-
-@pytest.mark.parametrize("problem", ["settings", "version"])
-def test_results_made_otherwise_are_done_anew_even_without_their_config(
-    run: Call, out: Path, monkeypatch: pytest.MonkeyPatch, problem: str
-) -> None:
-    run()
-    if problem == "settings":
-        (out / "config.toml").unlink()
-    else:
-        monkeypatch.setattr(memo, "__version__", "99.0")
-
-    again = run(*(("--threshold", "0.9") if problem == "settings" else ()))
-
-    assert again.stderr.startswith("roadtorch: 3 done (3 redone);")
 
 
 # --- killed -----------------------------------------------------------------------------
