@@ -12,15 +12,13 @@ from itertools import islice, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from torch import Tensor
-
 from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.errors import ConfigError, InputError, unknown_name_error
 from roadtorch.camera.calibration import lens_from_camera_info
 from roadtorch.camera.ground import Lens
 from roadtorch.inputs.clock import FrameClock
 from roadtorch.inputs.image_messages import COMPRESSED_TYPE, RAW_IMAGE_TYPE, decode_message
-from roadtorch.inputs.item import Item, Selection, Source
+from roadtorch.inputs.item import Item, Selection, Source, raise_error
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -185,15 +183,12 @@ def _bag_frames(origin: str, source: str, topic: str, step: float) -> Generator[
             seconds = clock.seconds((message.stamp - first) / 1e9, elapsed)
             recorded = message.recorded
             where = f"{origin}:{topic}#{number}"
-            read = partial(_raise_unreadable, where, message.damage)
-            if message.content is not None:
-                read = partial(decode_message, message.content, where)
+            damage = InputError(where, f"cannot be read: {message.damage}", "record it again")
+            is_whole = message.content is not None
+            decode = partial(decode_message, message.content, where)
+            read = decode if is_whole else partial(raise_error, damage)
             name = f"{source}/{number:06d}"
             yield Item(name, where, read, number=number, seconds=seconds, stamp=message.stamp)
-
-
-def _raise_unreadable(origin: str, damage: str) -> Tensor:
-    raise InputError(origin, f"cannot be read: {damage}", "record it again")
 
 
 def _read_messages(origin: str, bag: "AnyReader", topic: str) -> Generator[BagMessage]:

@@ -27,7 +27,7 @@ from roadtorch.inputs.images import (
     make_image_item,
     open_web_image,
 )
-from roadtorch.inputs.item import Item, Selection, Source
+from roadtorch.inputs.item import Item, Selection, Source, raise_error
 from roadtorch.inputs.live import STREAMS, camera_source, stream_source
 from roadtorch.inputs.video import VIDEO_SUFFIXES, count_frames, video_frames, video_source
 
@@ -98,16 +98,12 @@ def _is_footage(path: str) -> bool:
 def _open_bag_in_folder(file: ListedFile, selection: Selection, alone: bool) -> Source:
     """Open a bag; unless it is alone, one that cannot be opened raises when it is read."""
     name = (file.name if file.path.is_dir() else file.stem).strip(".") or file.path.resolve().name
-
-    def fail(error: RoadtorchError) -> Iterator[Item]:
-        raise error
-
     try:
         return bag_source(str(file.path), selection.topic, selection, name)
     except RoadtorchError as error:
         if alone:
             raise
-        return Source(name, str(file.path), partial(fail, error), path=file.path)
+        return Source(name, str(file.path), partial(raise_error, error), path=file.path)
 
 
 def select_inputs(inputs: Iterable[str], selection: Selection, out: Path) -> Inputs:

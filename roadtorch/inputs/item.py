@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import islice, takewhile
 from pathlib import Path, PurePosixPath
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
 from torch import Tensor
 
@@ -160,6 +160,11 @@ class Source:
         """Return a source of at most ``limit`` evenly spaced items, the first ones if uncounted."""
         chosen = Selection(every=max(1, (self.count or 0) // limit), limit=limit)
         return replace(self, items=lambda: chosen.select(self.items()), count=None)
+
+
+def raise_error(error: Exception) -> NoReturn:
+    """Raise an error: what an item does on reading that is known to be unreadable."""
+    raise error
 
 
 def evenly_spaced(values: Sequence[_Value], limit: int) -> Sequence[_Value]:

@@ -18,7 +18,7 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import from_pixels, report_decoding_errors
 from roadtorch.base.urls import encode_url
 from roadtorch.inputs.clock import FrameClock
-from roadtorch.inputs.item import Item, Selection, Source
+from roadtorch.inputs.item import Item, Selection, Source, raise_error
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -166,7 +166,8 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
             for pts, image in _decode_frames(container, stream, seek):
                 seconds = clock.seconds(stream_seconds(stream, pts))
                 origin = strip_password(f"{path}: frame {number}")
-                read = partial(_raise_damaged, origin)
+                damage = InputError(origin, "is damaged", "copy the video again, or repair it")
+                read: Callable[[], Tensor] = partial(raise_error, damage)
                 if image is None:
                     lost.append(seconds)
                 else:
@@ -218,10 +219,6 @@ def declared_duration(container: "InputContainer", stream: "VideoStream") -> flo
     end = int(time[1]) * 3600 + int(time[2]) * 60 + float(time[3]) if time else 0.0
     whole = (container.duration or 0) / 1e6 if end or len(container.streams) == 1 else 0.0
     return min(filter(None, (end, whole)), default=0.0) + (stream_seconds(stream, 0) or 0.0)
-
-
-def _raise_damaged(origin: str) -> Tensor:
-    raise InputError(origin, "is damaged", "copy the video again, or repair it")
 
 
 def _find_seek_point(path: Path | str, start: float) -> SeekPoint:
