@@ -37,7 +37,7 @@ DRIVES = ("0006R0", "0016E5", "0001TP")
 DOMAINS = (*DRIVES, "idd")
 """What a student of images of the domain is scored on; none of its own images is among them."""
 
-TREE_IMAGES = 400
+TREE_IMAGES = 500
 """Source images that teach the trees of superpixels."""
 
 PATCHES, SUPERPIXELS = 220_000, 300

@@ -84,7 +84,7 @@ def adapt_command(
         context.exit(128 + outcome.interrupted)
     request = TrainingRequest(frames.glob(), out, prepared=adaptation.prepared, quiet=quiet)
     camera = ["--camera", str(adaptation.camera)] if adaptation.camera else []
-    words = ["--set", f"weights.file={outcome.weights}", *camera, "--out", "roads"]
+    words = ["--set", f"weights.file={outcome.weights}", *camera, "--out", str(out / "roads")]
     is_adopted = adaptation.verdict is not None and adaptation.verdict.word == "adopt"
     use = f"roadtorch infer FOOTAGE {shlex.join(words)}" if is_adopted else ""
     page = write_page(training, request, outcome, verdict, command_line(context), use)

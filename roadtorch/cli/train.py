@@ -136,9 +136,9 @@ def train_command(
         skipped = f"; {outcome.skipped} skipped, see images.csv" if outcome.skipped else ""
         click.echo(f"roadtorch: weights in {outcome.weights}{skipped}", err=True)
     if (training.initial_weights or corrected) and not isinstance(training, SelfTraining):
-        words = ["infer", images, "--set", f"weights.file={outcome.weights}", "--out", "roads"]
-        is_usable = corrected and isinstance(training, ImageTraining)
-        use = shlex.join(["roadtorch", *words]) if is_usable else ""
+        weights, roads = f"weights.file={outcome.weights}", str(out / "roads")
+        words = ["roadtorch", "infer", images, "--set", weights, "--out", roads]
+        use = shlex.join(words) if corrected and isinstance(training, ImageTraining) else ""
         verdict = write_page(training, request, outcome, command=command, use=use)
         if verdict is not None and not quiet:
             lines = [f"masks before and after in {out / ADAPTATION_PAGE}", verdict]

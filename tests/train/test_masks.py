@@ -137,7 +137,7 @@ def test_masks_train_and_the_held_out_image_scores(
     first, *_, score, last = result.stderr.splitlines()
     assert first.startswith("roadtorch: 5 of 5 images have a mask; road is 1 (")
     assert score.startswith("roadtorch: undecided: on 1 held-out image F of the mask 0.")
-    use = f"infer {streets} --set weights.file={out}/weights.safetensors --out roads"
+    use = f"infer {streets} --set weights.file={out}/weights.safetensors --out {out}/roads"
     assert last == f"roadtorch: to use it: roadtorch {use}"
     page = (out / "adaptation.html").read_text()
     for text in (
