@@ -35,7 +35,7 @@ LINES = {
     "roadtorch/ufl": 1_345,
     "scripts": 4_792,
     "tests": 27_845,
-    "train": 4_439,
+    "train": 4_446,
 }
 """The lines of source code that each folder may have."""
 

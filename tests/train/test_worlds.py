@@ -15,7 +15,7 @@ import pytest
 
 from roadtorch.camera.ground import Lens, project_rays
 from train.worlds import lens as lenses
-from train.worlds.pack import append_row, compare_with_list, draw_sheet
+from train.worlds.pack import append_row, compare_with_list, draw_sheet, read_list
 from train.worlds.plans import (
     FISHEYES,
     HELD_OUT,
@@ -117,7 +117,7 @@ def test_a_pack_is_compared_with_a_list(tmp_path: Path) -> None:
         append_row(tmp_path, name, truth)
     table = tmp_path / "worlds.csv"
     rows = list(csv.DictReader(table.read_text().splitlines()))
-
+    assert [*read_list(table)] == [row["name"] for row in rows]
     assert compare_with_list(tmp_path, table) == ([], [])
     assert [(row["kind"], row["light"]) for row in rows][1] == ("wetnight", "night")
     assert draw_sheet(tmp_path, range(50000, 50003), 2).shape == (24, 16, 3)

@@ -1,6 +1,7 @@
 """Render path-traced worlds with their truth.
 
     python -m train.worlds 50000 53000 --out WORLDS       (with bpy 5.0.1; opencv-python-headless)
+    python -m train.worlds --list train/worlds.csv --out WORLDS       (the numbers of a list)
     python -m train.worlds 50000 50048 --out WORLDS --sheet sheet.jpg  (what is there, with truth)
     python -m train.worlds --check train/worlds.csv --out WORLDS
 
@@ -8,7 +9,7 @@ The first writes WORLDS/images/NUMBER_KIND_LIGHT.jpg and WORLDS/truth/….png (0
 horizontal without road, 3 road, 4 the own vehicle, 255 void), WORLDS/lenses/….toml of fisheyes, and
 a row in WORLDS/worlds.csv: name, kind, light, hash of the truth, version of the code. What is there
 is kept; a number gives the same image. Several at a time: ``--every 2 --from 1`` takes every second
-number. The last compares a folder with such a list and fails where one is missing or differs.
+number. The last compares a folder with a list and fails where one is missing or differs.
 
 50000 to 52999 are the pack on which networks learn (train.worlds.plans); of each ten thousand the
 last thousand teaches no network.
@@ -21,7 +22,7 @@ from pathlib import Path
 
 import cv2
 
-from train.worlds.pack import FOLDERS, append_row, compare_with_list, draw_sheet
+from train.worlds.pack import FOLDERS, append_row, compare_with_list, draw_sheet, read_list
 
 
 def make_world(number: int, folder: Path) -> str:
@@ -56,9 +57,11 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--from", type=int, default=0, dest="offset")
     parser.add_argument("--sheet", type=Path)
-    parser.add_argument("--check", type=Path, help="a list: name, …, sha256")
+    parser.add_argument("--list", type=Path, help="of numbers to render: name, …, sha256")
+    parser.add_argument("--check", type=Path, help="such a list")
     options = parser.parse_args()
-    numbers = range(options.first + options.offset, options.last, options.every)
+    listed = [int(name.split("_")[0]) for name in read_list(options.list)] if options.list else []
+    numbers = [*range(options.first, options.last), *listed][options.offset :: options.every]
     if options.check:
         check_list(options.out, options.check)
     if options.sheet:

@@ -46,12 +46,16 @@ def append_row(folder: Path, name: str, truth: np.ndarray) -> None:
         file.write(header + ",".join(row) + "\n")
 
 
+def read_list(table: Path) -> dict[str, str]:
+    """Return the hash of each world's truth in a list, by the world's name."""
+    with table.open(encoding="utf-8", newline="") as file:
+        return {row["name"]: row["sha256"] for row in csv.DictReader(file)}
+
+
 def compare_with_list(folder: Path, table: Path) -> tuple[list[str], list[str]]:
     """Return the names of a list that a folder lacks, and those whose truth differs there."""
-    with table.open(encoding="utf-8", newline="") as file:
-        hashes = {row["name"]: row["sha256"] for row in csv.DictReader(file)}
     missing, different = [], []
-    for name, digest in hashes.items():
+    for name, digest in read_list(table).items():
         files = (folder / "images" / f"{name}.jpg", folder / "truth" / f"{name}.png")
         if not all(file.exists() for file in files):
             missing.append(name)
