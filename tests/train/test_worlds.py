@@ -117,6 +117,7 @@ def test_a_pack_is_compared_with_a_list(tmp_path: Path) -> None:
         append_row(tmp_path, name, truth)
     table = tmp_path / "worlds.csv"
     rows = list(csv.DictReader(table.read_text().splitlines()))
+
     assert [*read_list(table)] == [row["name"] for row in rows]
     assert compare_with_list(tmp_path, table) == ([], [])
     assert [(row["kind"], row["light"]) for row in rows][1] == ("wetnight", "night")
@@ -131,9 +132,8 @@ def test_a_pack_is_compared_with_a_list(tmp_path: Path) -> None:
 @pytest.mark.skipif(find_spec("bpy") is None, reason="needs Blender's module, bpy 5.0.1")
 def test_a_number_gives_the_same_truth_twice(tmp_path: Path) -> None:
     command, table = [sys.executable, "-m", "train.worlds"], tmp_path / "first" / "worlds.csv"
-    for folder in ("first", "second"):
-        numbers = ("50000", "50001", "--out", tmp_path / folder)
-        subprocess.run([*command, *numbers], check=True)
+    for folder, numbers in (("first", ("50000", "50001")), ("second", ("--list", table))):
+        subprocess.run([*command, *numbers, "--out", tmp_path / folder], check=True)
 
     check = subprocess.run([*command, "--check", table, "--out", tmp_path / "second"])
     assert check.returncode == 0

@@ -11,8 +11,8 @@ a row in WORLDS/worlds.csv: name, kind, light, hash of the truth, version of the
 is kept; a number gives the same image. Several at a time: ``--every 2 --from 1`` takes every second
 number. The last compares a folder with a list and fails where one is missing or differs.
 
-50000 to 52999 are the pack on which networks learn (train.worlds.plans); of each ten thousand the
-last thousand teaches no network.
+Networks learn from the pack, train/worlds.csv: some of 50000 to 52999 (train.worlds.plans). Of each
+ten thousand the last thousand teaches no network.
 """
 
 import argparse

@@ -1,8 +1,8 @@
 """Plans of worlds by number: ground, light, weather, crowd, camera mount, side of traffic.
 
 A number's plan is one of a hundred in turn: of trails.csv in the second thousand of each ten
-thousand, otherwise of plans.csv. The pack on which networks learn is 50000 to 52999. Numbers below
-50000 gave other images before.
+thousand, otherwise of plans.csv. The pack on which networks learn is train/worlds.csv, of 50000 to
+52999. Numbers below 50000 gave other images before.
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,7 +11,7 @@ from typing import NamedTuple
 from train.worlds.tables import Row, read_table
 
 PACK, HELD_OUT = range(50000, 53000), 9000
-"""Numbers of the pack; from which of each ten thousand on numbers are held out from training."""
+"""Numbers from which the pack is taken; from which of each ten thousand on none trains."""
 
 ROADLESS = ("room", "things", "wall", "field", "water", "square")
 """Kinds of places without road."""
