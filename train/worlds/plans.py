@@ -1,8 +1,7 @@
 """Plans of worlds by number: ground, light, weather, crowd, camera mount, side of traffic.
 
-A number's plan is one of a hundred in turn: of trails.csv in the second thousand of each ten
-thousand, otherwise of plans.csv. The pack on which networks learn is train/worlds.csv, of 50000 to
-52999. Numbers below 50000 gave other images before.
+A number's plan is one of a hundred in turn, of plans.csv. The pack on which networks learn is
+train/worlds.csv, of 50000 to 52999. Numbers below 50000 gave other images before.
 """
 
 from collections.abc import Iterable, Mapping
@@ -51,10 +50,9 @@ def spread_evenly(rows: Iterable[Row]) -> tuple[Plan, ...]:
     return tuple(plan for *_, plan in sorted(turns, key=lambda turn: turn[:2]))
 
 
-SCHEDULE, TRAILS = (spread_evenly(read_table(name)) for name in ("plans", "trails"))
+SCHEDULE = spread_evenly(read_table("plans"))
 
 
 def plan_world(number: int) -> Plan:
     """Return the plan of a world's number."""
-    schedule = TRAILS if number % 10_000 // 1000 == 1 else SCHEDULE
-    return schedule[number % len(schedule)]
+    return SCHEDULE[number % len(SCHEDULE)]

@@ -72,7 +72,7 @@ def render_world(number: int, folder: Path) -> tuple[str, Photo, str]:
 
 
 def _render_light(scene: Scene, number: int, folder: Path) -> np.ndarray:
-    """Render linear light float32 (384, 512, 3) BGR."""
+    """Render linear light float32 (288, 384, 3) BGR."""
     blender, cycles = scene.blender, scene.blender.cycles
     blender.render.engine = "CYCLES"
     blender.render.threads_mode, blender.render.threads = "FIXED", 1
@@ -88,7 +88,7 @@ def _render_light(scene: Scene, number: int, folder: Path) -> np.ndarray:
 
 
 def _render_truth(scene: Scene, folder: Path) -> np.ndarray:
-    """Render what each pixel is, uint8 (384, 512): flat colours, several paths through each pixel.
+    """Render what each pixel is, uint8 (288, 384): flat colours, several paths through each pixel.
 
     The scene has no light any more afterwards.
     """

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 from train.worlds.blender import bpy
 from train.worlds.truth import COLOURS
 
-WIDTH, HEIGHT = 512, 384
-"""Width and height of the images, to which other aspect ratios are squeezed, as by the networks."""
+WIDTH, HEIGHT = 384, 288
+"""Width and height of the images, which networks see no larger, in whose shape they see all."""
 
 Point = tuple[float, float, float]
 Material = Any
