@@ -4,19 +4,20 @@ import json
 import tomllib
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner, Result
 
-from roadtorch.base.image import read_image, write_rgb
+from roadtorch.base.image import read_image, to_pixels, write_rgb
 from roadtorch.camera.camera import Camera
 from roadtorch.cli import main
 from roadtorch.inputs.find import locate_frames, read_frames
 from roadtorch.road.ego import Ego, ego_car
 from tests.command import Call, files_in
 from tests.streets import drive, scene
+from tests.videos import write_video
+
+KEYS = ["width", "height", "frames", "horizon", "seed_row", "invariant_angle", "ego", "template"]
 
 
 @pytest.fixture(scope="module")
@@ -43,30 +44,16 @@ def test_a_file_and_an_image_are_written(
     assert lines[1].startswith("horizon: row 0.4")
     assert lines[2].startswith("12 frames of 160×120 pixels; wrote ")
     assert files_in(out.parent) == {"camera.toml", "camera.jpg"}
-    keys = list(tomllib.loads(out.read_text()))
-    assert keys == [
-        "width",
-        "height",
-        "frames",
-        "horizon",
-        "seed_row",
-        "invariant_angle",
-        "ego",
-        "template",
-    ]
+    assert list(tomllib.loads(out.read_text())) == KEYS
     assert read_image(out.with_name("camera.jpg")).shape == (3, 480, 1280)
     assert call("camera", street, "--out", out).exit_code == 0  # again, over its own
 
 
 def test_a_video_shows_what_its_frames_show(call: Call, tmp_path: Path) -> None:
+    frames = [to_pixels(frame) for frame in drive() for _ in range(2)]
+    seconds = [number / 10 for number in range(len(frames))]
     video = tmp_path / "drive.avi"
-    code = cv2.VideoWriter.fourcc(*"MJPG")
-    writer = cv2.VideoWriter(str(video), code, 10, (160, 120))
-    for frame in drive():
-        for _ in range(2):
-            pixels = (frame.flip(0) * 255).byte().permute(1, 2, 0).numpy()
-            writer.write(np.ascontiguousarray(pixels))
-    writer.release()
+    write_video(video, seconds, (120, 160), "mjpeg", lambda number, _: frames[number])
 
     result = call("camera", video, "--limit", 12, "--out", tmp_path / "camera.toml")
 
@@ -76,12 +63,6 @@ def test_a_video_shows_what_its_frames_show(call: Call, tmp_path: Path) -> None:
     assert camera.seed_row == pytest.approx(0.82, abs=0.03)
     first = next(read_frames(locate_frames([str(video)], 12)))
     assert (first - drive()[0]).abs().mean() < 0.05
-
-
-def test_frames_are_chosen_evenly_over_all_inputs(street: Path) -> None:
-    chosen = locate_frames([str(street), str(street / "03.png")], 4)
-
-    assert [place.path.stem for place in chosen] == ["01", "04", "08", "11"]
 
 
 @pytest.mark.parametrize("name", ["camera.toml", "camera.jpg"])
@@ -191,15 +172,3 @@ def test_evaluate_takes_it_for_all(
     for name in ("prior:rows", "cpf"):
         outline = written["detectors"][name]["settings"]["ego"]["outline"]
         assert tuple(outline) == Camera.read(camera_file).ego.outline
-
-
-def test_a_camera_file_has_its_outlines_in_few_lines(tmp_path: Path) -> None:
-    outline = tuple(round(0.9 + number / 1e4, 4) for number in range(64))
-    camera = Camera(
-        width=64, height=48, frames=9, horizon=0.5, seed_row=0.9, ego=Ego(outline=outline)
-    )
-
-    camera.write(tmp_path / "camera.toml")
-
-    assert Camera.read(tmp_path / "camera.toml") == camera
-    assert len((tmp_path / "camera.toml").read_text().splitlines()) < 16

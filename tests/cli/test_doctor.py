@@ -55,17 +55,6 @@ def test_files_that_an_interrupted_pip_left_are_named(
     assert {check.hint for check in checks} == {doctor.REINSTALL_HINT}
 
 
-@pytest.mark.parametrize(("load", "is_busy"), [(0.1, False), (99.0, True)])
-def test_a_busy_machine_is_reported(
-    load: float, is_busy: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("os.getloadavg", lambda: (load, 0, 0))
-
-    details = {check.name: check.details for check in doctor.check_machine()}
-
-    assert details["load"].endswith("the times below mean little") == is_busy
-
-
 @pytest.mark.parametrize(
     ("installed", "state", "problem"),
     [

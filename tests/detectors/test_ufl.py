@@ -52,14 +52,6 @@ def test_at_a_half_the_likelihood_is_the_chosen_region(name: str, size: tuple[in
     assert torch.equal(detection.likelihood >= MASK_THRESHOLD, chosen)
 
 
-def test_where_no_selected_base_responds_the_likelihood_is_the_mask_alone() -> None:
-    detection = detector("ufl:original").detect(street())
-
-    nothing = detection.cues["mean_map"] == 0
-    assert nothing.any()
-    assert set(detection.likelihood[nothing].tolist()) <= {0.0, 0.5}
-
-
 @pytest.mark.parametrize("name", BY_NAME)
 @pytest.mark.parametrize("colour", [(0.0, 0.0, 0.0), (0.9, 0.2, 0.4)])
 def test_without_contrast_there_is_no_road(name: str, colour: tuple[float, ...]) -> None:

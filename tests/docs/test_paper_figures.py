@@ -8,19 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from roadtorch.base.errors import DatasetError
 from roadtorch.testing.scenes import render_scene, write_image
-from scripts.figures import (
-    FIGURES,
-    PaperFigure,
-    __main__,
-    p1,
-    p1_stages,
-    p3_area,
-    p3_page,
-    p3_table3,
-    sheets,
-)
+from scripts.figures import FIGURES, __main__, p1, p1_stages, p3_area, p3_page, p3_table3, sheets
 from tests.data.test_kitti import add_frame, street
 from tests.streets import write_drives
 
@@ -79,31 +68,6 @@ def test_a_figure_writes_its_files(
 
     files = {path.name for path in tmp_path.iterdir()}
     assert {f"{name}{ending}" for ending in FIGURES[name].endings} <= files
-
-
-def test_all_skips_figures_that_exist_and_goes_on_after_one_that_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fail(data: Path, out: Path) -> None:
-        raise DatasetError(data / "camvid", "is missing", "get it")
-
-    def write(data: Path, out: Path) -> None:
-        (out / "p3-fig8.png").touch()
-
-    (tmp_path / "p1-table1.csv").touch()
-    figures = {
-        "p1-table1": PaperFigure(fail, (".csv",)),
-        "p2-fig4b": PaperFigure(fail, (".csv",)),
-        "p3-fig8": PaperFigure(write, (".png",)),
-    }
-    monkeypatch.setattr(__main__, "FIGURES", figures)
-
-    failed = __main__.make_all(Path("data"), tmp_path)
-
-    assert failed == ["p2-fig4b"]
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[1] for line in lines] == ["exists", "failed:", "made", "of"]
-    assert (tmp_path / "p3-fig8.png").exists()
 
 
 def test_the_page_shows_every_figure_in_order() -> None:

@@ -5,10 +5,7 @@ from functools import partial
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from torch import Tensor
-from torch.nn import functional as F
 
 from roadtorch.base.twins import use_twins
 from roadtorch.export.steps import TWINS
@@ -71,17 +68,3 @@ def test_a_step_on_a_batch_agrees_with_python_on_each_image(
         actual = step(*parts)
 
     assert torch.allclose(actual.double(), expected.double(), atol=2e-5)
-
-
-SIDES = st.integers(2, 80)  # torch does not enlarge columns that are alone
-
-
-@settings(max_examples=30)
-@given(SIDES, SIDES, SIDES, SIDES)
-def test_matrices_resize_as_torch_does(height: int, width: int, rows: int, columns: int) -> None:
-    maps = torch.rand(2, 3, height, width)
-    with use_twins(TWINS):
-        actual = resize_maps(maps, (rows, columns))
-
-    expected = F.interpolate(maps, (rows, columns), mode="bilinear", antialias=True)
-    assert torch.allclose(actual, expected, atol=1e-5)

@@ -1,4 +1,4 @@
-"""Every kind of file that the package reads: a mutated file, and its reader."""
+"""Every kind of file that users give to the package: a mutated file, and its reader."""
 
 import io
 import json
@@ -6,7 +6,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,12 +22,10 @@ from roadtorch.camera.camera import Camera, EgoTemplate
 from roadtorch.cli.options import DetectorOptions
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.correction_formats import CORRECTION_FORMATS as IMPORTED
-from roadtorch.data.correction_formats import fill_regions, read_coco
 from roadtorch.data.corrections import Correction, read_log
 from roadtorch.data.label_folders import add_conditions
 from roadtorch.data.likelihood_maps import open_maps, read_decision_settings, read_map
 from roadtorch.data.masks import read_masks
-from roadtorch.data.polygons import coco_annotation
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.evaluation.methods import Contender, apply_thresholds, contender_from_name
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
@@ -35,10 +33,7 @@ from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, T
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.road.ego import Ego, ego_car, read_ego_mask
 from roadtorch.run.ledger import IndexRow, open_ledger, read_index, write_index
-from roadtorch.run.memo import read_arrays, write_arrays
-from roadtorch.run.writers.coco import coco_text, write_coco
-from roadtorch.train.config import PatchTraining, as_values, build_training
-from roadtorch.train.run_folder import CHECKPOINT, CHECKPOINT_FORMAT, RUN, RunFolder
+from roadtorch.train.config import build_training
 from tests.data.conftest import write
 from tests.fuzz.mutations import (
     BYTE_MUTATIONS,
@@ -97,7 +92,7 @@ def build_from(path: Path, build: Callable[[], object]) -> bool:
     return True
 
 
-# --- weights, checkpoints -------------------------------------------------------------------
+# --- weights --------------------------------------------------------------------------------
 
 NETWORKS = (
     PatchNetwork(PatchNetworkSettings(topology=Topology(k1=6, potentials="softmax"))),
@@ -114,30 +109,6 @@ def make_network(draw: Draw, folder: Path) -> bytes:
 def read_network(path: Path) -> bool:
     values = load_network(path).state_dict().values()
     return all(bool(value.isfinite().all()) for value in values)
-
-
-ARRAYS = {"image": torch.zeros(3, 9, 9, dtype=torch.uint8), "source": torch.ones(1)}
-
-
-def write_checkpoint(path: Path) -> None:
-    data = io.BytesIO()  # in a file its name would be part of the bytes
-    torch.save({"format": CHECKPOINT_FORMAT, "progress": {"epoch": 1}, "w": torch.ones(50)}, data)
-    path.write_bytes(data.getvalue())
-
-
-RECORD: dict[str, Any] = {
-    "roadtorch": "0.1.0",
-    "config": as_values(PatchTraining()),
-    "count": 0,
-    "corrections": None,
-    "keys": {"settings": "0" * 32, "images": "0" * 32, "corrections": "0" * 32},
-}
-
-
-def read_record(path: Path) -> bool:
-    """Start a run in the folder of another run, which is refused: its images differ."""
-    record = {**RECORD, "keys": {**RECORD["keys"], "images": "1" * 32}}
-    return not build_from(path, lambda: RunFolder(path.parent).check(record))
 
 
 # --- settings -----------------------------------------------------------------------------
@@ -185,21 +156,6 @@ def read_camera(path: Path) -> bool:
 # --- labels -------------------------------------------------------------------------------
 
 
-def make_polygons(draw: Draw, _: Path) -> bytes:
-    """Make polygons of a mask as ``infer`` writes them."""
-    return mutate_json(draw, json.loads("".join(coco_text([ROW], lambda _: [POLYGONS]))))
-
-
-def read_polygons(path: Path) -> bool:
-    """Read them, and write them to coco.json."""
-    size = (HEIGHT, WIDTH)
-    regions, _ = read_coco(path, {"a.png": size})
-    assert fill_regions(path, "a.png", size, regions["a.png"]).values.shape == size
-    write_index(path.with_name("index.csv"), [ROW])
-    write_coco(path.parent)
-    return len(json.loads(path.with_name("coco.json").read_text())["images"]) == 1
-
-
 def make_labels(draw: Draw, _: Path) -> bytes:
     """Make a label image of a user's data set, or an image of the ego car."""
     values, data = np.array([0, 255, 127], np.uint8)[np.arange(HEIGHT * WIDTH) % 3], io.BytesIO()
@@ -217,7 +173,6 @@ def read_labels(path: Path) -> bool:
 
 
 NUMBERS = (np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 97 % 8).astype(np.uint8)
-POLYGONS = coco_annotation(NUMBERS > 3, 1, 1, 1)
 ROW = IndexRow("a.png", str(WIDTH), str(HEIGHT), status="done", saved="polygons")
 CORRECTION = Correction(Path("a.png"), "a.png", NUMBERS, False, 0, 0, Path("log"))
 
@@ -375,20 +330,8 @@ KINDS: Mapping[str, Kind] = {
         "image.bin", lambda draw, _: mutate(draw, encode_scene(draw), IMAGE_MUTATIONS), reads_image
     ),
     "weights": Kind("net.safetensors", make_network, read_network),
-    "arrays": Kind(
-        "prepared.npz",
-        mutated_file(lambda path: write_arrays(path, ARRAYS)),
-        lambda path: bool(read_arrays(path)),
-    ),
-    "checkpoints": Kind(
-        CHECKPOINT,
-        mutated_file(write_checkpoint),
-        lambda path: isinstance(RunFolder(path.parent).read_checkpoint(), dict),
-    ),
-    "records": Kind(RUN, lambda draw, _: mutate_json(draw, RECORD), read_record),
     "configs": Kind("config.toml", make_config, read_config),
     "camera": Kind("camera.toml", mutated_file(CAMERA.write, TEXT_MUTATIONS), read_camera),
-    "polygons": Kind("a.coco.json", make_polygons, read_polygons),
     "labels": Kind("label.png", make_labels, read_labels),
     "ego": Kind("ego.png", make_labels, lambda path: read_ego_mask(str(path)).dtype == torch.bool),
     "imported coco": import_kind("coco", "coco.json"),

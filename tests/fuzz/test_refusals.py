@@ -104,27 +104,6 @@ FOREIGN: Mapping[str, Callable[[Path], object]] = {
 }
 
 
-HARMLESS: Mapping[str, set[str]] = {
-    "images": {"image"},
-    "configs": {"empty"},
-    "journals": {"missing", "empty", "values"},  # a line without its end is that of a crash
-    "index": {"missing", "empty", "loop", "values"},
-    **{kind: {"missing", "loop"} for kind in ("checkpoints", "records")},
-    "results": {"missing", "empty", "loop", "settings"},
-}
-"""Files that a kind accepts."""
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_files_of_another_kind_are_refused(kind: str, tmp_path: Path) -> None:
-    for name in FOREIGN.keys() - HARMLESS.get(kind, set()):
-        path = tmp_path / name / KINDS[kind].name
-        path.parent.mkdir()
-        FOREIGN[name](path)
-
-        assert verdict(path, KINDS[kind].read) == "refused", name
-
-
 # --- the command line -----------------------------------------------------------------------
 
 PRIOR = "--detector prior:rows"

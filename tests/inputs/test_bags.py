@@ -151,18 +151,8 @@ def test_what_is_not_there_or_has_to_be_chosen(
         read(path, topic)
 
 
-@pytest.mark.parametrize(
-    "stamps",
-    [
-        [9000, 0, 1, 2, 3],  # the first one ahead
-        [0, 1, 2, -9000, -8999],  # a step back
-        [5 - FIRST // STEP, 6 - FIRST // STEP, 2, 3, 4],  # 1970, then today
-        [0, 1, 9000, 3, 4],  # a single wrong one
-    ],
-)
-def test_frames_come_in_the_order_of_recording_whatever_their_stamps(
-    stamps: list[int], tmp_path: Path
-) -> None:
+def test_frames_come_in_the_order_of_recording_whatever_their_stamps(tmp_path: Path) -> None:
+    stamps = [5 - FIRST // STEP, 6 - FIRST // STEP, 2, 3, 4]  # 1970, then today
     images = [raw_image(ROS2, scene(n), "rgb8", FIRST + STEP * at) for n, at in enumerate(stamps)]
     path = str(write_bag(tmp_path / "drive", {TOPIC: images}))
 

@@ -112,6 +112,7 @@ def test_names_come_from_standard_input_and_lists(
     [
         ("@none.txt", "", "none.txt: cannot be read"),
         ("-", "\n", "-: contains no names"),
+        ("", "", "'': is an empty name"),
         ("-", "\udcff\udcd8\udcff\udce0\0\x10JFIF", "-: expects file names, not the"),
     ],
 )

@@ -142,25 +142,20 @@ def test_near_pixels_keep_their_digits_far_from_the_origin():
 
 
 @pytest.mark.parametrize(
-    ("values", "half"),
+    ("classifier", "first", "rejected", "threshold"),
     [
-        ([0.1, 0.2, 0.4, 0.8], 0.15),  # to the next sample: 0.1, 0.1, 0.2, 0.4
-        ([0.1, 0.1, 0.4, 0.8], 0.15),  # 0, 0, 0.3, 0.4: a twin is a neighbour
+        (NN, [0.1, 0.2], 0.5, 0.15),  # to the next sample: 0.1, 0.1, 0.2, 0.4
+        (NN, [0.1, 0.1], 0.5, 0.15),  # 0, 0, 0.3, 0.4: a twin is a neighbour
+        *((MST, [0.1, 0.2], *pair) for pair in ((0.0, 0.4), (0.34, 0.2), (0.7, 0.1))),  # an edge
     ],
 )
-def test_threshold_leaves_each_sample_out(values, half):
-    learned = fitted(NN, torch.tensor(values)[:, None], ClassifierSettings(rejected=0.5))
-    assert float(learned.threshold) == pytest.approx(half)
+def test_thresholds_are_distances_between_samples(classifier, first, rejected, threshold):
+    samples = torch.tensor([*first, 0.4, 0.8])[:, None]
+    learned = fitted(classifier, samples, ClassifierSettings(rejected=rejected))
+    assert float(learned.threshold) == pytest.approx(threshold)
 
 
 # --- minimum spanning tree --------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("rejected", "length"), [(0.0, 0.4), (0.34, 0.2), (0.7, 0.1)])
-def test_tree_threshold_is_a_length_of_an_edge(rejected, length):
-    samples = torch.tensor([[0.1], [0.2], [0.4], [0.8]])
-    learned = fitted(MST, samples, ClassifierSettings(rejected=rejected))
-    assert float(learned.threshold) == pytest.approx(length)
 
 
 @pytest.mark.parametrize("apart", [1e-9, 1e-7])

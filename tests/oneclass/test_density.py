@@ -1,6 +1,4 @@
-"""Gaussians, mixtures and histograms: closed forms, outliers, expectation maximisation."""
-
-import math
+"""Gaussians, mixtures and histograms: closed forms, bins, and how many components."""
 
 import numpy as np
 import pytest
@@ -9,22 +7,15 @@ from torch import Tensor
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.imaging.color import PLANES as COLOR_PLANES
-from roadtorch.imaging.color import color_planes
 from roadtorch.oneclass import CLASSIFIERS, fit, make_axes
-from roadtorch.oneclass.density import RobustSettings, chi_quantile, moments, reweighted_moments
+from roadtorch.oneclass.density import chi_quantile
 from roadtorch.oneclass.histogram import HistogramSettings, add_noisy_copy, bin_indices
 from roadtorch.oneclass.mixture import (
-    Mixtures,
     MixtureSettings,
-    expectation_maximisation,
-    k_means_plus_plus,
-    m_step,
 )
 from tests.draws import random, seeded_generator
-from tests.oneclass.cases import DIMENSIONS, PLANES
+from tests.oneclass.cases import PLANES
 from tests.reference import oneclass_density as reference
-
-GAUSSIAN, ROBUST = CLASSIFIERS["gaussian"], CLASSIFIERS["robust_gaussian"]
 
 
 def correlated(planes: int, count: int = 90, seed: int = 0) -> Tensor:
@@ -36,37 +27,6 @@ def correlated(planes: int, count: int = 90, seed: int = 0) -> Tensor:
 
 def test_quantiles_are_those_of_chi_square() -> None:
     assert chi_quantile(0.975, 3) ** 2 == pytest.approx(9.3484036)  # by its tables
-
-
-# --- robust -----------------------------------------------------------------------------------
-
-
-@DIMENSIONS
-def test_a_tenth_of_outliers_moves_the_robust_mean_five_times_less(dimensions: int) -> None:
-    clean, axes = correlated(dimensions), PLANES[dimensions]
-    spoilt = clean.clone()
-    spoilt[:9] = 0.9 + 0.02 * random(9, dimensions)  # white paint
-
-    robust, plain = (
-        [
-            reweighted_moments(rows, axes, RobustSettings(), power=1.5)[0]
-            for rows in (clean, spoilt)
-        ],
-        [moments(rows)[0] for rows in (clean, spoilt)],
-    )
-
-    assert (robust[0] - robust[1]).norm() * 5 < (plain[0] - plain[1]).norm()
-
-
-def test_weights_are_those_of_the_docstring_at_the_end() -> None:
-    samples, axes = correlated(2), PLANES[2]
-    settings = RobustSettings(ridge=0.0)
-
-    mean, covariance = reweighted_moments(samples, axes, settings, power=1)
-
-    distance = ((samples - mean) @ torch.linalg.inv(covariance) * (samples - mean)).sum(1).sqrt()
-    weights = ((-2 * math.log(0.025)) ** 0.5 / distance).clamp_max(1)
-    np.testing.assert_allclose(mean, (weights @ samples) / weights.sum(), atol=1e-6)
 
 
 # --- histograms -------------------------------------------------------------------------
@@ -85,16 +45,6 @@ def test_a_value_on_the_edge_of_two_bins_is_in_the_upper_one(name: str, bins: in
     low, scale = torch.tensor(axes.low), (bins / axes.span).float()
 
     assert bin_indices(pixels, low, scale, bins).tolist() == [list(range(bins))]
-
-
-def test_every_colour_with_equal_red_and_green_is_in_the_bin_that_integers_give() -> None:
-    level, blue = torch.meshgrid(torch.arange(256), torch.arange(256), indexing="ij")
-    axes, image = make_axes(("O1",)), torch.stack([level, level, blue]).float() / 255
-
-    low, scale = torch.tensor(axes.low), (64 / axes.span).float()
-    indices = bin_indices(color_planes(image, ("O1",)).flatten(1), low, scale, 64)
-
-    assert indices.unique().tolist() == [(0 + 255) * 64 // 510]
 
 
 def test_the_noisy_copy_has_p3s_deviation_and_is_dropped_or_wrapped_at_the_range() -> None:
@@ -123,7 +73,6 @@ def test_too_many_bins_are_refused_in_one_line() -> None:
 
 
 TWO, BEST = CLASSIFIERS["mog2"], CLASSIFIERS["mog_opt"]
-WIDENING = torch.full((2,), 1e-5, dtype=torch.float64)
 AXES = PLANES[2]
 POINTS = random(200, 2, seed=1, dtype=torch.float32) - 0.5
 
@@ -134,17 +83,6 @@ def clusters(number: int, count: int = 120) -> Tensor:
     middles = 0.3 * torch.stack([angle.cos(), angle.sin()], 1)
     noise = torch.randn(count, 2, generator=seeded_generator(), dtype=torch.float64)
     return (middles.repeat(-(-count // number), 1)[:count] if number > 1 else 0) + 0.03 * noise
-
-
-def memberships(samples: Tensor, number: int) -> Tensor:
-    weights = samples.new_ones(1, len(samples))
-    return k_means_plus_plus(samples, weights, torch.tensor([number]), seeded_generator())
-
-
-def parts_of(mixtures: Mixtures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return weights (N,), means (N, d) and covariances (N, d, d) of the only mixture."""
-    covariances = torch.linalg.inv(mixtures.whitening.mT @ mixtures.whitening)
-    return mixtures.log_weights[0].exp().numpy(), mixtures.means[0].numpy(), covariances[0].numpy()
 
 
 @pytest.mark.parametrize("formula", ["density", "paper"])
@@ -167,24 +105,6 @@ def test_the_distance_is_that_of_the_density_or_of_the_papers_formula(formula: s
         peaks = np.zeros(2)
     expected = reference.log_sum(logs) - reference.log_sum(peaks)
     np.testing.assert_allclose(distance, np.sqrt(-2 * expected), rtol=1e-3)
-
-
-# --- fit --------------------------------------------------------------------------------
-
-
-def test_every_round_equals_the_textbook() -> None:
-    samples, start = clusters(3), memberships(clusters(3), 3)
-    weights = samples.new_ones(1, len(samples))
-
-    shares, _ = expectation_maximisation(samples, weights, start, WIDENING, rounds=4)
-    parts = parts_of(m_step(samples, shares, WIDENING))
-
-    expected = reference.expectation_maximisation(
-        samples.numpy(), start[0].numpy(), WIDENING.numpy(), rounds=5
-    )
-    np.testing.assert_allclose(parts[0], expected[0], rtol=1e-6)
-    np.testing.assert_allclose(parts[1], expected[1], atol=1e-8)
-    np.testing.assert_allclose(parts[2], expected[2], rtol=1e-5, atol=1e-9)
 
 
 # --- how many ---------------------------------------------------------------------------

@@ -7,14 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch.export.steps import solve_by_products
 from roadtorch.road.appearance import (
     MAX_WEIGHT,
     RELATIVE_RIDGE,
     appearance_log_odds,
     appearance_planes,
     average_log_odds,
-    fuse_appearance,
 )
 from tests.reference import appearance as reference
 
@@ -50,32 +48,6 @@ def test_an_image_of_one_class_keeps_the_networks_log_odds(sign: int) -> None:
     log_odds = sign * (log_odds.abs() + 1)
 
     assert torch.equal(appearance_log_odds(features, log_odds), log_odds)
-
-
-def test_a_batch_is_its_images() -> None:
-    generator = torch.Generator().manual_seed(1)
-    scores = 3 * torch.randn(2, 6, 8, generator=generator)
-    features = torch.randn(2, 5, 6, 8, generator=generator)
-    images = torch.rand(2, 3, 24, 32, generator=generator)
-
-    batch = fuse_appearance(scores, features, images, 1.0)
-
-    for number in range(2):
-        part = slice(number, number + 1)
-        single = fuse_appearance(scores[part], features[part], images[part], 1.0)
-        torch.testing.assert_close(batch[part], single, atol=1e-4, rtol=0)
-
-
-@given(seed=st.integers(0, 50))
-def test_the_exported_solution_is_that_of_linear_algebra(seed: int) -> None:
-    generator = torch.Generator().manual_seed(seed)
-    factor = torch.randn(12, 12, generator=generator)
-    matrix = factor @ factor.mT + 0.3 * torch.eye(12)
-
-    solution = solve_by_products(matrix, factor)
-
-    expected = torch.linalg.solve(matrix, factor)
-    torch.testing.assert_close(solution, expected, atol=5e-3, rtol=5e-3)
 
 
 def test_shadow_changes_brightness_and_neither_chromaticity_nor_ratio() -> None:

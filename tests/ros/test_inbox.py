@@ -1,17 +1,14 @@
-"""Queues of images, confidences and missing packages, without ROS."""
+"""Queues of images, and a missing ROS, without ROS."""
 
 import sys
 import threading
 from typing import Any
 
 import pytest
-import torch
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.cli.ros import ros_command
-from roadtorch.detectors.detection import Detection
 from roadtorch.ros.inbox import BURST, Inbox
-from roadtorch.run.writers.bag import mask_and_confidence
 from tests.command import invoke_command
 
 
@@ -63,15 +60,6 @@ def test_a_message_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     threading.Timer(0.05, fill, (inbox, 7)).start()
 
     assert taken(inbox, 1) == [7]
-
-
-def test_confidence_is_of_each_pixels_own_class() -> None:
-    likelihood = torch.tensor([[0.0, 0.2], [0.9, 1.0]])
-
-    mask, confidence = mask_and_confidence(Detection(likelihood, likelihood > 0.5, {}))
-
-    assert mask.tolist() == [[0, 0], [1, 1]]
-    assert confidence.tolist() == [[255, 204], [230, 255]]
 
 
 def test_without_ros_a_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

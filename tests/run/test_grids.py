@@ -1,6 +1,7 @@
 """roadtorch infer --save grid, from real files to real files: images, videos and bags."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -135,37 +136,37 @@ def test_all_frames_have_the_median_of_their_pitches(call: Call, drive: Path, ou
 # --- what goes wrong --------------------------------------------------------------------
 
 
-def test_a_frame_of_another_shape_costs_itself_alone(call: Call, tmp_path: Path, out: Path) -> None:
-    images = [street(3), street(4)[:60], street(5)]
-    drive = write_drive(tmp_path, "mcap", images, FOCAL)
-
-    result = call("infer", drive, *PITCHED, "--out", out)
-
-    assert result.exit_code == 1
-    message = f"failed: {drive}:/camera/image_raw#1: is 160×60 pixels, the calibration 160×120"
-    assert message in result.stderr
-    assert "2 frames, 1 failed" in result.stderr
-    assert len(list(out.rglob("*.grid.npy"))) == 2
+OTHER_SHAPE = "/camera/image_raw#1: is 160×60 pixels, the calibration 160×120"
+NO_PITCH = "has no layout from this detector to estimate the pitch (give --set grid.pitch"
 
 
-def test_a_bag_without_camera_info_needs_a_lens(call: Call, tmp_path: Path, out: Path) -> None:
-    images = [raw_image(ROS2, street(3), "rgb8", FIRST)]
-    drive = write_bag(tmp_path / "drive", {"/camera/image_raw": images})
-    run = ("infer", drive, *PITCHED, "--out", out)
+@pytest.mark.parametrize(
+    ("source", "words", "problem", "grids"),
+    [
+        ("other shape", PITCHED, OTHER_SHAPE, 2),
+        ("no lens", PITCHED, ": has no camera_info /camera/camera_info beside", 0),
+        ("no lens", (*PITCHED, *settings(fov=60)), "", 1),
+        ("drive", (*VIEW, *TRIANGLE), NO_PITCH, 0),
+        ("streets", (*VIEW, *TRIANGLE), NO_PITCH, 0),
+    ],
+)
+def test_what_no_grid_can_be_made_of_fails_alone_and_says_what_it_needs(
+    source: str, words: Sequence[str], problem: str, grids: int, call: Call, streets: Path,
+    drive: Path, tmp_path: Path, out: Path,
+) -> None:  # fmt: skip
+    (tmp_path / "other").mkdir()
+    bare = {"/camera/image_raw": [raw_image(ROS2, street(3), "rgb8", FIRST)]}
+    sources = {
+        "other shape": lambda: write_drive(
+            tmp_path / "other", "mcap", [street(3), street(4)[:60], street(5)], FOCAL
+        ),
+        "no lens": lambda: write_bag(tmp_path / "bare", bare),
+        "drive": lambda: drive,
+        "streets": lambda: streets,
+    }
 
-    result = call(*run)
+    result = call("infer", sources[source](), *words, "--out", out)
 
-    assert result.exit_code == 1
-    assert f"failed: {drive}: has no camera_info /camera/camera_info beside" in result.stderr
-    assert call(*run, *settings(fov=60), "--overwrite").exit_code == 0
-
-
-@pytest.mark.parametrize("footage", [True, False])
-def test_a_detector_without_layout_needs_a_pitch(
-    footage: bool, call: Call, streets: Path, drive: Path, out: Path
-) -> None:
-    result = call("infer", drive if footage else streets, *TRIANGLE, "--out", out, *VIEW)
-
-    assert result.exit_code == 1
-    problem = "has no layout from this detector to estimate the pitch (give --set grid.pitch"
+    assert result.exit_code == bool(problem)
     assert problem in result.stderr
+    assert len(list(out.rglob("*.grid.npy"))) == grids

@@ -8,35 +8,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.boundary import count_boundary
 from roadtorch.evaluation.metrics import auc, count_levels
 from roadtorch.evaluation.tally import ImageCounts, Tally
-from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
-from roadtorch.road.seed_area import remove_isolated, seed_rectangle
-from scripts.figures import counting, p1, p2_layout, p2_road, p3_table3
-from tests.streets import as_bytes, scene, write_camvid, write_drives
-
-# --- P1 ---------------------------------------------------------------------------------
-
-
-def test_scores_are_pooled_over_images_of_p1s_size(tmp_path: Path) -> None:
-    write_drives(tmp_path)
-    dataset = p1.open_small(tmp_path, "camvid")
-    sizes = {dataset.read(item)[0].shape for item in dataset.items}
-    roads = [truth.road & truth.valid for _, truth in map(dataset.read, dataset.items)]
-
-    (row,) = p1.score_variants(dataset, {"all": ("prior:uniform", {})})
-
-    assert sizes == {(3, 120, 160)}
-    valid = sum(int(dataset.read(item)[1].valid.sum()) for item in dataset.items)
-    fraction = sum(int(road.sum()) for road in roads) / valid
-    assert (row["P"], row["R"]) == (f"{100 * fraction:.2f}", "100.00")
-    assert float(str(row["low"])) <= float(str(row["F"])) <= float(str(row["high"]))
-
+from scripts.figures import p2_road, p3_table3
+from tests.streets import as_bytes, scene, write_camvid
 
 # --- P2 ---------------------------------------------------------------------------------
 
@@ -73,37 +52,6 @@ def test_areas_are_pooled_and_by_drive_and_gains_are_over_the_baselines() -> Non
     assert {row[f"AUC, pooled{p2_road.WHOLE}"] for row in rows} == {".500 (.500–.500)"}
 
 
-def test_at_every_threshold_isolated_areas_are_discarded() -> None:
-    likelihood = torch.rand(24, 32, generator=torch.Generator().manual_seed(3))
-    seed = seed_rectangle(likelihood.shape)
-
-    joined = p2_road.reach_of_seed(likelihood)
-
-    for threshold in likelihood[seed].sort().values[:-1].tolist():
-        mask = likelihood >= threshold
-        assert torch.equal(joined >= threshold, remove_isolated(mask, seed))
-
-
-def test_an_image_that_fails_ends_a_count(tmp_path: Path) -> None:
-    write_drives(tmp_path)
-    dataset = open_dataset("camvid", tmp_path / "camvid")
-    dataset.items[1].image.write_bytes(b"")
-
-    with pytest.raises(RuntimeError, match=dataset.items[1].name):
-        counting.count_images(dataset, ["prior:rows"])
-
-
-def test_a_confusion_is_printed_in_the_papers_order() -> None:
-    confusion = torch.zeros(4, 4, dtype=torch.int64)
-    confusion[SKY, SKY], confusion[SKY, VERTICAL] = 3, 1
-    confusion[VERTICAL, VERTICAL], confusion[HORIZONTAL, VERTICAL] = 5, 2
-    confusion[3, SKY] = 5  # void counts as vertical
-
-    ratios = p2_layout.printed_ratios(confusion)
-
-    assert ratios.tolist() == [[0.5, 0, 0.5], [1, 0, 0], [0.25, 0, 0.75]]
-
-
 # --- P3 ---------------------------------------------------------------------------------
 
 
@@ -127,12 +75,3 @@ def test_cells_are_areas_by_drive_beside_the_papers(tmp_path: Path) -> None:
     assert papers == {"gaussian": 92.8, "dlp:paper": 92.9}
     low, high = (float(str(rows[0][end])) for end in ("low", "high"))
     assert low <= 100 * mean <= high
-
-
-def test_p3s_table_has_all_its_values_and_ranks_like_itself() -> None:
-    table = p3_table3.printed_table()
-
-    assert len(table) == 17 * 19 - 13 - 3  # PCA is empty in single planes and pairs
-    assert max(table, key=table.__getitem__) == ("robust_gaussian", "HS")
-    assert (table["nn", "R"], table["kcentres", "HS"], table["pca", "HSV"]) == (74.2, 93.1, 89.3)
-    assert p3_table3.rank_correlation(table, p3_table3.SINGLE) == pytest.approx(1)

@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from roadtorch.layout.weights import list_shipped_weights, shipped_weights
 from scripts import readme_figures
-from scripts.readme_figures import restate, rewrite, unbound_numbers, weights_of
+from scripts.readme_figures import rewrite, unbound_numbers, weights_of
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDS = sorted(readme_figures.FIGURES.glob("*.json"))
@@ -80,32 +79,6 @@ def test_a_number_is_bound_of_a_study_or_alone(page: str, numbers: list[str]) ->
     assert unbound_numbers(page, ["Study"]) == numbers
 
 
-@pytest.mark.parametrize(
-    ("figure", "value", "now"),
-    [
-        (".827", 0.8312, ".831"),
-        ("+.012", -0.0041, "\N{MINUS SIGN}.004"),
-        ("\N{MINUS SIGN}0.01", 0.02, "+0.02"),
-        ("82.7 %", 0.8312, "83.1 %"),
-        ("1,318", 55, "55"),
-        ("470,000", 473557, "474,000"),
-        ("12", 11.6, "12"),
-        ("`dn_cat`", "dn_tas500", "`dn_tas500`"),
-    ],
-)
-def test_a_value_is_said_as_the_old_figure_was(figure: str, value: float | str, now: str) -> None:
-    assert restate(figure, value) == now
-
-
-def test_the_table_of_models_has_all_weights_described_from_their_files() -> None:
-    large, scores = readme_figures.describe_networks("fusion:large"), ROOT / "docs/results.md"
-    bytes_ = sum(shipped_weights(name).stat().st_size for name in str(large["weights"]).split(", "))
-
-    assert (large["bytes"], large["input"]) == (bytes_, "224×256")
-    table = scores.read_text("utf-8").partition("## Models")[2].partition("<!-- end -->")[0]
-    assert [name for name in list_shipped_weights() if name not in table] == []
-
-
 def test_figures_and_tables_are_written_from_records() -> None:
     values = {"many.f": 0.82708, "many.f.low": 0.8, "many.f.high": 0.84, "b.f": 0.9, "w": "ycor"}
     old = """F .5<!-- figure: many.f -->, worst `x`<!-- figure: w -->
@@ -127,21 +100,3 @@ def test_figures_and_tables_are_written_from_records() -> None:
     assert new == "\n".join([first, *header, rows])
     with pytest.raises(KeyError, match="gone"):
         rewrite(".5<!-- figure: gone -->", values)
-
-
-def test_an_evaluation_becomes_flat_records() -> None:
-    groups = {"a": {"f_mask": 0.9, "maxf": 0.95}, "b": {"f_mask": 0.7, "maxf": 0.99}}
-    fusion = {"f_mask": 0.8, "maxf": 0.9, "settings": {"random_seed": 3}}
-    fusion |= {"layout": {"mean": None, "sky": 0.7}, "conditions": {"night": {"f_mask": 0.5}}}
-    fusion |= {"groups": groups, "ci95": {"maxf": [0.88, 0.91], "f_mask": None}}
-    paired = {"detectors": {"fusion": {"maxf": {"difference": -0.4, "ci95": [-0.5, -0.3]}}}}
-
-    metrics = {"images": 5, "detectors": {"fusion": fusion}, "paired": paired}
-    records = readme_figures.records_of("run", metrics)
-
-    expected = {"maxf": 0.9, "maxf.low": 0.88, "maxf.high": 0.91, "layout.sky": 0.7}
-    expected |= {"f_mask@b": 0.7, "f_mask@night": 0.5, "f_mask.worst": 0.7, "maxf.less": -0.4}
-    expected |= {"f_mask.worst.camera": "b", "maxf.worst.camera": "a", "maxf.less.high": -0.3}
-    assert {name: records.get(f"run.fusion.{name}") for name in expected} == expected
-    assert records["run.images"] == 5
-    assert not [name for name in records if "seed" in name or "layout.mean" in name]

@@ -22,6 +22,7 @@ from roadtorch.data.masks import Mask
 from roadtorch.evaluation.report.montage import TILE_WIDTH, VERMILLION
 from roadtorch.evaluation.result import Comparison, Difference, Interval
 from roadtorch.layout.weights import load_network, read_correction_runs
+from roadtorch.testing.scenes import write_image
 from roadtorch.train.comparison_page import describe_gain
 from roadtorch.train.config import HeadWeights
 from roadtorch.train.recordings import select_held_out
@@ -29,6 +30,7 @@ from roadtorch.train.run import Outcome
 from roadtorch.train.targets import Targets
 from roadtorch.train.whole_images import target_loss
 from tests.command import invoke_command
+from tests.networks import write_random_network
 from tests.streets import scene
 from tests.train.conftest import Trained
 from tests.train.runs import IMAGES, rows_of, write_config
@@ -117,6 +119,35 @@ def test_the_interval_decides_in_words(low: float, images: int, start: str, end:
 
 
 # --- the command ------------------------------------------------------------------------
+
+HOSTILE = "<img src=x onerror=alert(1)>"
+
+
+def test_a_run_from_weights_ends_with_a_page_of_masks_before_and_after(tmp_path: Path) -> None:
+    start, images = write_random_network(tmp_path / "first.safetensors", 0), tmp_path / "footage"
+    for name in ("plain", HOSTILE, "third"):
+        write_image(images / f"{name}.png", scene(0, 60, 80))
+    words = ["--config", write_config(tmp_path / "run.toml", IMAGES), "--images", images]
+    words += ["--out", tmp_path / "run", "--set", f"initial_weights={start}"]
+
+    result = invoke_command(train_command, *words)
+
+    assert "before and after in" in result.output
+    page = (path := tmp_path / "run" / "adaptation.html").read_text()
+    assert page.count("data:image/jpeg;base64") == 3
+    for text in (
+        "Masks of 3 images",
+        'alt="Mean loss of the epochs"',
+        'alt="Trust before and after',
+    ):
+        assert text in page
+    # It asks for nothing, and names are text.
+    assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page)
+    assert "<script" not in page
+    assert HOSTILE not in page
+    path.unlink()  # it is written again by resuming
+    invoke_command(train_command, *words)
+    assert path.read_text().split("<h2>Weights")[0] == page.split("<h2>Weights")[0]
 
 
 def test_masks_train_and_the_held_out_image_scores(

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-import cv2
 import pytest
 import torch
 
@@ -98,7 +97,6 @@ def test_a_detector_that_trips_costs_one_image_a_wrong_setting_everything(
 
 
 NUMBERED = Recordings(separator="_", min_frames=8)
-FEW = Recordings(separator="_", min_frames=3)
 ALONE = (StopRequest(), True)
 
 
@@ -157,21 +155,6 @@ def test_that_there_is_none_is_kept_until_a_frame_changes(
     assert read_ego(cars["bonnet_0"], torch.zeros(3, 60, 80)) is None
     find_ego_cars(footage[:8], tmp_path, NUMBERED, *ALONE)
     assert len(examined) == 2
-
-
-def test_of_long_recordings_evenly_spread_frames_are_looked_at_each_kept_small(
-    examined: list[list[torch.Tensor]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(recordings, "MAX_FRAMES", 4)
-    for number in range(9):
-        image = torch.full((900, 1200, 3), 20 * number).byte()
-        cv2.imwrite(str(tmp_path / f"cam_{number}.png"), image.numpy())
-
-    find_ego_cars(find_images([str(tmp_path)]), tmp_path / "kept", FEW, *ALONE)
-
-    (frames,) = examined
-    assert [round(float(frame.mean()) * 255 / 20) for frame in frames] == [0, 3, 6]
-    assert {tuple(frame.shape) for frame in frames} == {(3, 480, 640)}
 
 
 def test_nothing_is_looked_at_without_a_separator_or_after_a_request_to_stop(

@@ -109,11 +109,7 @@ def test_the_weights_that_are_written_are_the_mean_over_the_steps(trained: Train
 def test_the_ego_car_of_footage_is_in_prepared_images(trained: Trained, tmp_path: Path) -> None:
     """Files that killed runs left half-written are removed from all folders of a run as well."""
     footage, prepared = write_bonnets(tmp_path / "footage", 8), tmp_path / "kept"
-    changes = (
-        "augmentation.ego_car=1.0",
-        "recordings.min_frames=8",
-        "stopping.epochs=1",
-    )
+    changes = ("augmentation.ego_car=1.0", "recordings.min_frames=8", "stopping.epochs=1")
     leftovers = [
         tmp_path / "run",
         tmp_path / "run/labels-1",

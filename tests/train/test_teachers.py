@@ -17,7 +17,7 @@ from roadtorch.layout.image_network import NUM_OUTPUTS, ImageNetwork, ImageNetwo
 from roadtorch.road.bayes import log_odds
 from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.train.config import ImageTraining, Teacher, build_training
-from roadtorch.train.targets import Targets, centre_likelihood, make_targets
+from roadtorch.train.targets import centre_likelihood, make_targets
 from roadtorch.train.teachers import (
     label_with_network,
     network_maps,
@@ -78,42 +78,30 @@ def test_in_each_image_the_cut_that_parts_it_best_becomes_one_half() -> None:
 # --- where it counts -----------------------------------------------------------------------
 
 
-def weights(targets: Targets) -> tuple[list[float], list[float]]:
-    """Return the weights of layout and road."""
-    return targets.layout_weight.flatten().tolist(), targets.road_weight.flatten().tolist()
+SURE = maps_of((0.9, 0.1, 0.0, 0.9), (0.9, 0.1, 0.0, 0.9), (0.1, 0.1, 0.8, 0.1))
+UNSURE = maps_of((0.9, 0.1, 0.0, 0.9), (0.5, 0.4, 0.1, 0.52), (0.2, 0.0, 0.8, 0.1))
+NETWORK = maps_of((0.8, 0.2, 0.0, 0.8, 0.0), (0.0, 1.0, 0.0, 0.1, 0.0), (0.0, 0.0, 1.0, 0.9, 0.0))
+ALONE = EVEN.model_copy(update={"combine": "teacher"})
 
 
-def test_only_certain_pixels_count() -> None:
-    teacher = maps_of((0.9, 0.1, 0.0, 0.9), (0.5, 0.4, 0.1, 0.52), (0.2, 0.0, 0.8, 0.1))
+@pytest.mark.parametrize(
+    ("teacher", "network", "settings", "expected", "counted"),
+    [
+        (UNSURE, None, EVEN, UNSURE, ([1, 0, 1], [1, 1, 1])),  # only certain pixels count
+        (SURE, NETWORK, EVEN, (SURE + NETWORK[:, :4]) / 2, ([1, 0, 1], [1, 0, 0])),  # agreement
+        (SURE, NETWORK, ALONE, SURE, ([1, 1, 1], [1, 1, 1])),
+    ],
+)
+def test_targets_count_where_teachers_are_certain_and_agree(
+    teacher: torch.Tensor, network: torch.Tensor | None, settings: Teacher,
+    expected: torch.Tensor, counted: tuple[list[float], list[float]],
+) -> None:  # fmt: skip
+    targets = make_targets(teacher, ego_of(0.5, 0.5, 0.5), network, settings)
 
-    targets = make_targets(teacher, ego_of(0.5, 0.5, 0.5), None, EVEN)
-
-    assert weights(targets) == ([1, 0, 1], [1, 1, 1])
-    torch.testing.assert_close(targets.layout, teacher[:, :NUM_CLASSES])
-
-
-def test_only_agreement_with_the_network_to_start_from_counts() -> None:
-    teacher = maps_of((0.9, 0.1, 0.0, 0.9), (0.9, 0.1, 0.0, 0.9), (0.1, 0.1, 0.8, 0.1))
-    network = maps_of(
-        (0.8, 0.2, 0.0, 0.8, 0.0), (0.0, 1.0, 0.0, 0.1, 0.0), (0.0, 0.0, 1.0, 0.9, 0.0)
-    )
-
-    targets = make_targets(teacher, ego_of(0.5, 0.5, 0.5), network, EVEN)
-
-    assert weights(targets) == ([1, 0, 1], [1, 0, 0])
-    torch.testing.assert_close(targets.layout, (teacher + network[:, :4])[:, :NUM_CLASSES] / 2)
-
-
-def test_the_teacher_alone_can_give_the_targets() -> None:
-    teacher, network = maps_of((0.9, 0.1, 0.0, 0.9)), maps_of((0.0, 1.0, 0.0, 0.1, 0.0))
-
-    targets = make_targets(
-        teacher, ego_of(0.5), network, EVEN.model_copy(update={"combine": "teacher"})
-    )
-
-    torch.testing.assert_close(targets.layout, teacher[:, :NUM_CLASSES])
-    torch.testing.assert_close(targets.road, teacher[:, NUM_CLASSES:])
-    assert targets.layout_weight.item() == 1
+    torch.testing.assert_close(targets.layout, expected[:, :NUM_CLASSES])
+    torch.testing.assert_close(targets.road, expected[:, NUM_CLASSES:])
+    layout, road = targets.layout_weight.flatten(), targets.road_weight.flatten()
+    assert (layout.tolist(), road.tolist()) == counted
 
 
 # --- the ego car ---------------------------------------------------------------------------

@@ -1,28 +1,14 @@
-"""Preprocessing, patches, whitening, K-means, maps."""
+"""Preprocessing, the first dictionary, and the choice of maps."""
 
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from roadtorch.ufl import feature_maps, features, preprocess
 from roadtorch.ufl.feature_maps import MapSettings
 from roadtorch.ufl.features import DictionarySettings
 from tests.draws import random
 from tests.reference import ufl as reference
-
-
-@settings(max_examples=25)
-@given(st.integers(0, 10**6), st.integers(1, 12), st.integers(1, 40))
-def test_a_round_of_k_means_moves_bases_to_means(seed: int, bases: int, count: int) -> None:
-    points, start = random(count, 4, seed=seed), random(bases, 4, seed=seed + 1)
-
-    bases_after, counts = features.update_dictionary(points, start)
-
-    expected, expected_counts = reference.lloyd(points.numpy(), start.numpy())
-    np.testing.assert_allclose(bases_after.numpy(), expected, atol=1e-12)
-    assert counts.tolist() == expected_counts
 
 
 def test_the_seed_determines_initial_bases_of_noise() -> None:
@@ -42,19 +28,6 @@ def test_the_seed_determines_initial_bases_of_noise() -> None:
 
 
 SIZE = (7, 5)
-
-
-@pytest.mark.parametrize("kind", ["base", "patch"])
-@settings(max_examples=25)
-@given(seed=st.integers(0, 10**6), bases=st.integers(1, 40))
-def test_responses_follow_equations_3_and_4(kind: str, seed: int, bases: int) -> None:
-    points, dictionary = random(35, 4, seed=seed), random(bases, 4, seed=seed + 1)
-    settings = MapSettings.model_validate({"encoder": kind})
-
-    responses = feature_maps.make_encoder(points, dictionary, settings.encoder)(dictionary)
-
-    expected = reference.responses(points.numpy(), dictionary.numpy(), kind)
-    np.testing.assert_allclose(responses.numpy(), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["base", "patch"])
@@ -90,25 +63,6 @@ def test_working_sizes_of_the_paper_follow_from_the_aspect_ratio(
     height: int, width: int, size: tuple
 ) -> None:
     assert preprocess.WorkingShape().size(height, width) == size
-
-
-@pytest.mark.parametrize(("sigma", "radius"), [(1.5, 3), (2.5, 5), (0.4, 1), (1.6, 4)])
-def test_blur_is_equation_1_in_a_window_that_follows_sigma(sigma: float, radius: int) -> None:
-    smoothing, image = preprocess.Smoothing(sigma=sigma), random(2, 9, 11)
-
-    blurred = preprocess.blur(image, smoothing.sigma, smoothing.radius)
-
-    assert smoothing.radius == radius
-    expected = np.stack([reference.blurred(plane, sigma, radius) for plane in image.numpy()])
-    np.testing.assert_allclose(blurred, expected, atol=1e-12)
-
-
-def test_equalisation_is_invariant_to_brightness() -> None:
-    image = 0.2 + 0.5 * random(3, 20, 24)
-
-    bright, dark = (preprocess.equalise(image * gain, preprocess.Smoothing()) for gain in (1, 0.1))
-
-    np.testing.assert_allclose(bright, dark, rtol=1e-7)
 
 
 def test_black_stays_black_where_the_program_divides_0_by_0() -> None:

@@ -48,16 +48,6 @@ def test_the_spectrum_is_that_of_the_filter_as_it_is_written() -> None:
     np.testing.assert_allclose(spectrum, expected, atol=2e-3 * np.abs(expected).max())
 
 
-def test_confidence_is_one_less_the_middle_responses_over_the_greatest() -> None:
-    responses = torch.linspace(1, 2, 36)[:, None, None].repeat(1, 1, 2)
-    responses[:35, 0, 1] = 0.1  # one response stands out
-
-    angle, sure = vanishing.dominant_orientation(responses)
-
-    assert angle.tolist() == [[175.0, 175.0]]
-    assert sure.tolist() == [[0.0, 1.0]]  # scaled to the image
-
-
 # --- the vote ---------------------------------------------------------------------------
 
 
@@ -122,13 +112,3 @@ def test_both_borders_of_a_road_are_found_and_it_lies_between(first: int, second
     )
     expected = (angle > first) & (angle < second) & below
     assert (vanishing.road_between(borders, SIZE) == expected).float().mean() > 0.98
-
-
-def test_the_point_moves_along_the_first_border_to_where_texture_aims() -> None:
-    angle = torch.tensor(130).deg2rad()
-    high = POINT - 12 * torch.stack([angle.sin(), angle.cos()])
-
-    borders = vanishing.find_borders(wedge(45, 130), AIMING, high, vanishing.BorderSettings())
-
-    assert borders.first == 130
-    assert math.dist(borders.point.tolist(), POINT.tolist()) < 3
