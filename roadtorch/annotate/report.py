@@ -11,8 +11,6 @@ from roadtorch.evaluation.metrics import count_mask, f_measure
 from roadtorch.evaluation.report.table import align_columns
 from roadtorch.imaging.resize import resize_maps
 
-TEN_MINUTES = 600.0  # seconds
-
 
 def corrections_report(out: Path, images: Path | None = None) -> str:
     """Return the report on a folder of corrections as text; DatasetError where it has none."""
@@ -39,7 +37,7 @@ def detector_f_score(correction: Correction, out: Path) -> float | None:
 
 
 def _totals(corrections: Sequence[Correction], scores: Sequence[float]) -> list[str]:
-    """Return lines with the totals, medians per image, and amounts per ten minutes."""
+    """Return lines with the totals, and medians per image."""
     confirmed = sum(correction.confirmed for correction in corrections)
     seconds = sum(correction.seconds for correction in corrections)
     pixels = sum(int((correction.labels > 0).sum()) for correction in corrections)
@@ -53,10 +51,4 @@ def _totals(corrections: Sequence[Correction], scores: Sequence[float]) -> list[
     if scores:
         mean = statistics.mean(scores)
         lines.append(f"detector's masks of {len(scores)} confirmed images: mean F {mean:.3f}")
-    if seconds:
-        rate = TEN_MINUTES / seconds
-        lines.append(
-            f"per ten minutes: {rate * confirmed:.1f} confirmed images, {rate * clicks:.0f} "
-            f"clicks, {rate * pixels:,.0f} pixels"
-        )
     return lines

@@ -11,11 +11,7 @@ import torch
 from scipy import sparse
 from torch import Tensor
 
-from roadtorch.annotate.propagation import (
-    SegmentGraph,
-    propagate,
-    segment_graph,
-)
+from roadtorch.annotate.propagation import SegmentGraph, propagate, segment_graph
 from roadtorch.base.image import read_image
 from roadtorch.base.image_cache import image_cache
 from roadtorch.data.events import (

@@ -98,10 +98,10 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def write_error(path: Path, error: OSError, problem: str = "cannot be written") -> UnwritableError:
+def write_error(path: Path, error: OSError) -> UnwritableError:
     """Return the UnwritableError, with a hint, for an OSError at a file."""
     hint = HINTS.get(error.errno, "choose a folder that you may write to")
-    return UnwritableError(path, f"{problem}: {error.strerror or error}", hint)
+    return UnwritableError(path, f"cannot be written: {error.strerror or error}", hint)
 
 
 def remove_leftovers(folders: Iterable[Path]) -> None:

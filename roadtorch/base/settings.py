@@ -113,7 +113,7 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     return tree
 
 
-def _toml_value(text: str) -> Any:
+def _toml_value(text: str) -> object:
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except (ValueError, RecursionError):
@@ -151,7 +151,7 @@ def read_settings_file(path: Path) -> dict[str, Any]:
 def _resolve_files(path: Path, values: dict[str, Any]) -> dict[str, Any]:
     """Replace the names of files in the folder of ``path`` by their paths."""
 
-    def resolve(value: Any) -> Any:
+    def resolve(value: object) -> object:
         if isinstance(value, dict):
             return _resolve_files(path, value)
         if not isinstance(value, str) or not Path(value).suffix:

@@ -148,13 +148,8 @@ def camera_pose(
     sine_roll, cosine_roll = math.sin(math.radians(roll)), math.cos(math.radians(roll))
     aside = cosine_roll * right + sine_roll * down
     axes = aside, cosine_roll * down - sine_roll * right, (cosine, 0.0, -sine)
-    return make_pose(np.array(axes), np.array([*mount, height]))
-
-
-def make_pose(axes: np.ndarray, position: np.ndarray) -> Pose:
-    """Return the pose with axes (3, 3), one per row, and position (3,), as in ``Pose``."""
-    x, y, z, origin = (tuple(row) for row in [*axes.tolist(), position.tolist()])
-    return Pose((x, y, z), origin)
+    x, y, z = (tuple(axis) for axis in np.array(axes).tolist())
+    return Pose((x, y, z), (float(mount[0]), float(mount[1]), float(height)))
 
 
 @dataclass(frozen=True)

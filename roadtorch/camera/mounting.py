@@ -3,9 +3,9 @@
 import math
 import statistics
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import tomli_w
 from torch import Tensor
@@ -126,7 +126,9 @@ class _Group(Settings):
     grid: GridSettings
 
 
-def build_placement(camera: Camera | None, values: Any, of_bags: bool) -> CameraPlacement:
+def build_placement(
+    camera: Camera | None, values: Mapping[str, object], of_bags: bool
+) -> CameraPlacement:
     """Return the estimator for all inputs; ConfigError for wrong or missing settings.
 
     Args:

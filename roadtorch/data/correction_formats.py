@@ -196,7 +196,7 @@ def _region_mask(segmentation: _Counts | _Polygons, size: tuple[int, int]) -> np
     for polygon in segmentation:
         if len(polygon) % 2:
             raise ValueError(f"a polygon has {len(polygon)} coordinates, an odd number")
-        fill_area(np.array(polygon).reshape(-1, 2), mask, 1)
+        mask |= fill_area(np.array(polygon).reshape(-1, 2), size)
     return mask
 
 

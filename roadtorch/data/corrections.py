@@ -19,11 +19,11 @@ import numpy as np
 import torch
 from pydantic import Field, model_validator
 
-from roadtorch.base.atomic import file_digest, make_folder
+from roadtorch.base.atomic import file_digest, make_folder, write_error
 from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.decoding import check_pixels, open_image, suppress_warnings, upright_size
 from roadtorch.base.documents import Side, read_document
-from roadtorch.base.errors import DatasetError, InputError, UnwritableError
+from roadtorch.base.errors import DatasetError, InputError
 from roadtorch.base.settings import Settings
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.data.events import (
@@ -133,9 +133,7 @@ class EventLog:
                         file.truncate(size)
                     raise
         except OSError as error:
-            message = f"cannot be written: {error.strerror or error}"
-            hint = "free disk space, or give another folder with --out"
-            raise UnwritableError(self.path, message, hint) from None
+            raise write_error(self.path, error) from None
 
 
 def _truncate_partial_line(file: FileIO) -> int:

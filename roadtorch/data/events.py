@@ -175,10 +175,9 @@ def stroke_mask(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
     height, width = size
     points = np.array(stroke.points, np.float64)
     points = points.clip([-width, -height], [2 * width, 2 * height])
-    canvas = np.zeros(size, np.uint8)
     if isinstance(stroke, PolygonStroke):
-        fill_polygon(points, canvas, 1)
-        return canvas > 0
+        return fill_polygon(points, size)
+    canvas = np.zeros(size, np.uint8)
     corners, radius = np.floor(points + 0.5).astype(np.int32), round(stroke.radius)
     cv2.polylines(canvas, [corners], isClosed=False, color=1, thickness=2 * radius + 1)
     for corner in (corners[0], corners[-1]):

@@ -16,7 +16,7 @@ from roadtorch.base.errors import ConfigError, DatasetError
 from roadtorch.camera.birds_eye import warp_to_birds_eye
 from roadtorch.camera.calibration import read_calibration
 from roadtorch.data.dataset import Dataset, LabelledItem
-from roadtorch.data.label_images import ColourLabels, NumberLabels, is_image_file, require_labels
+from roadtorch.data.label_images import ColourLabels, NumberLabels, list_images, require_labels
 
 KITTI_NAME = "kitti-road"
 KITTI_SPLITS = ("road", "lane")  # the whole road, or only the ego lane (category um)
@@ -67,7 +67,7 @@ def open_kitti_road(root: Path, split: str) -> Dataset:
     missing folder or label file.
     """
     folder, items = find_kitti_folder(root, "training"), []
-    for image in filter(is_image_file, sorted((folder / "image_2").iterdir())):
+    for image in list_images(folder / "image_2"):
         category, _ = split_name(image.stem)
         if split == "road" or category in LANE_CATEGORIES:
             label = folder / "gt_image_2" / f"{result_name(image.stem, split)}.png"

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 
-def fill_polygon(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
-    """Fill a closed polygon and its border in a canvas uint8 (H, W).
+def fill_polygon(points: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return the mask bool (H, W) of a closed polygon and its border.
 
     Corners are rounded to the nearest pixel; a pixel is filled when its centre is inside or on the
     polygon through them, or on a border drawn one pixel wide.
@@ -19,19 +19,19 @@ def fill_polygon(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
     corners = np.floor(points + 0.5).astype(np.int32)
     low = np.minimum(corners.min(0), 0)
     # OpenCV moves borders that leave its canvas, hence one that holds every corner.
-    width, height = np.maximum(corners.max(0) + 1, canvas.shape[::-1]) - low
-    padded = np.zeros((height, width), np.uint8)
-    cv2.fillPoly(padded, [corners - low], 1)
-    rows, columns = canvas.shape
-    canvas[padded[-low[1] :, -low[0] :][:rows, :columns] > 0] = value
+    width, height = np.maximum(corners.max(0) + 1, size[::-1]) - low
+    canvas = np.zeros((height, width), np.uint8)
+    cv2.fillPoly(canvas, [corners - low], 1)
+    rows, columns = size
+    return canvas[-low[1] :, -low[0] :][:rows, :columns] > 0
 
 
-def fill_area(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
-    """Fill the pixels of a canvas (H, W) whose centre is inside a polygon, by the even-odd rule.
+def fill_area(points: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return the mask bool (H, W) of the pixels whose centre is inside a polygon: even-odd rule.
 
-    points: (N, 2) as (x, y), in pixel edges. The polygon may reach beyond the canvas.
+    points: (N, 2) as (x, y), in pixel edges; they may lie outside.
     """
-    limits = [canvas.shape[1], canvas.shape[0]]
+    limits = size[::-1]
     left, top = points.min(0).clip(0, limits).astype(int).tolist()
     right, bottom = np.ceil(points.max(0)).clip(0, limits).astype(int).tolist()
     crossings = np.zeros((bottom - top, right - left + 1), np.bool_)
@@ -42,8 +42,9 @@ def fill_area(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
         if len(rows):
             columns = x1 + (rows - y1) * ((x2 - x1) / (y2 - y1))
             crossings[rows, np.ceil(columns).clip(0, right - left).astype(int)] ^= True
-    inside = np.logical_xor.accumulate(crossings, axis=1)[:, :-1]
-    canvas[top:bottom, left:right][inside] = value
+    mask = np.zeros(size, np.bool_)
+    mask[top:bottom, left:right] = np.logical_xor.accumulate(crossings, axis=1)[:, :-1]
+    return mask
 
 
 # --- run lengths ------------------------------------------------------------------------

@@ -9,7 +9,7 @@ P3 reports "average ROC curves" without defining the average. Two are available:
 - vertical: the mean TPR of the images at a given FPR (`vertical_sample` of each image, then
   `vertical_average` of the mean; Fawcett, An introduction to ROC analysis, 2006). Every image
   has the same weight.
-- pooled: `roc` of the summed counts; images with more road have more weight.
+- pooled: `operating_points` of the summed counts; images with more road have more weight.
 """
 
 from dataclasses import dataclass
@@ -34,24 +34,14 @@ class Curve:
 
 
 def operating_points(counts: RoadCounts) -> Curve:
-    """Compute FPR and TPR at every level: (..., levels) → (..., levels + 1), from (0, 0) to (1, 1).
+    """Compute the ROC: FPR and TPR at every level, (..., levels) → (..., levels + 1).
 
-    At the first point nothing is road; at point i it is every pixel with level ≥ levels - i. NaN
+    It goes from (0, 0), where nothing is road, to (1, 1); at point i every pixel with level
+    ≥ levels - i is road, so that pixels of one level make one point (protocols of P2 and P3). NaN
     where road (y) or background (x) is missing. Levels without pixels repeat a point.
     """
     false, true = (sums.to(torch.float64) for sums in _cumulative_counts(counts))
     return Curve(false / false[..., -1:], true / true[..., -1:])
-
-
-def roc(counts: RoadCounts) -> Curve:
-    """Compute the ROC curve of one map or of pooled maps, counts (levels,), each point once.
-
-    From (0, 0) to (1, 1); pixels that share a level make one point (protocols of P2 and P3).
-    """
-    points = operating_points(counts)
-    has_pixels = (counts.road + counts.background).flip(-1) > 0  # of each level, highest first
-    occupied = torch.cat([torch.ones(1, dtype=torch.bool), has_pixels])
-    return Curve(points.x[occupied], points.y[occupied])
 
 
 def _cumulative_counts(counts: RoadCounts) -> tuple[Tensor, Tensor]:

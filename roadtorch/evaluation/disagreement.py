@@ -26,7 +26,7 @@ class Disagreement:
 
     @property
     def has_trust(self) -> bool:
-        """Whether both detectors give a trust."""
+        """Return whether both detectors give a trust."""
         return not math.isnan(self.first_trust + self.second_trust)
 
 

@@ -9,11 +9,12 @@ from pathlib import Path, PurePath
 from typing import Any
 
 import torch
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field
 from torch import Tensor
 from torch.nn import functional
 
-from roadtorch.base.bounded import read_regular, reason, to_printable
+from roadtorch.base.bounded import to_printable
+from roadtorch.base.documents import read_document
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import (
     CONFIG_SUFFIX,
@@ -203,7 +204,7 @@ def _detect(detector: Detector, image: Tensor, _: LabelledItem) -> Detection:
 def contender_from_maps(name: str, folder: Path) -> Contender:
     """Return likelihood maps in a folder as ``maps:NAME``, thresholded as its config.toml says."""
     decision = likelihood_maps.read_decision_settings(folder)
-    settings: dict[str, Any] = {"folder": str(folder)}
+    settings: dict[str, object] = {"folder": str(folder)}
     if likelihood_maps.is_infer_folder(folder):
         settings["isolated"] = decision.isolated
     return Contender(
@@ -321,7 +322,7 @@ def resize_map(values: Tensor, size: tuple[int, int] | torch.Size) -> Tensor:
 
 class _EarlierScores(BaseModel):
     maxf_threshold: float | None = Field(ge=0, le=1, allow_inf_nan=False)
-    settings: dict[str, Any] = {}
+    settings: dict[str, object] = {}
 
 
 class _EarlierRun(BaseModel):
@@ -331,15 +332,11 @@ class _EarlierRun(BaseModel):
 def apply_thresholds(entries: Sequence[Contender], path: Path) -> list[Contender]:
     """Return the contenders with the thresholds that an earlier run chose on all its groups.
 
-    path: its metrics.json. Raises InputError for another file; ConfigError when the run lacks the
+    path: its metrics.json. Raises DatasetError for another file; ConfigError when the run lacks the
     detector or had other settings: a threshold is not valid for another detector.
     """
-    try:
-        earlier = _EarlierRun.model_validate_json(read_regular(path)).detectors
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {reason(error)}", "give a metrics.json") from None
-    except ValidationError:
-        raise InputError(path, "is not a metrics.json", "give one that evaluate wrote") from None
+    with read_document(path, "give a metrics.json that evaluate wrote") as data:
+        earlier = _EarlierRun.model_validate_json(data).detectors
     chosen: list[Contender] = []
     for entry in entries:
         scores = earlier.get(entry.name)

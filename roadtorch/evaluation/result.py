@@ -25,7 +25,7 @@ class Interval(NamedTuple):
 
     @property
     def is_defined(self) -> bool:
-        """Whether both ends are defined."""
+        """Return whether both ends are defined."""
         return not math.isnan(self.low) and not math.isnan(self.high)
 
     @property
@@ -78,7 +78,7 @@ class DetectorScores:
 
     @property
     def is_baseline(self) -> bool:
-        """Whether the detector ignores the image."""
+        """Return whether the detector ignores the image."""
         return self.contender.is_baseline
 
     def group(self, name: str) -> Scores:
@@ -275,14 +275,9 @@ def aggregate_groups(
         if measure.key in pooled and measure.aggregate == "whole":
             scores[measure.key] = pooled[measure.key]
         elif measure.key in pooled and measure.aggregate == "mean":
-            scores[measure.key] = mean_defined([measure.get(group) for group in groups.values()])
+            defined = measure.get_defined(groups).values()
+            scores[measure.key] = sum(defined) / len(defined) if defined else math.nan
     return scores
-
-
-def mean_defined(values: Sequence[float]) -> float:
-    """Return the mean of the defined values; NaN when there is none."""
-    defined = [value for value in values if not math.isnan(value)]
-    return sum(defined) / len(defined) if defined else math.nan
 
 
 # --- single images ---------------------------------------------------------------------

@@ -6,30 +6,23 @@ from torch import Tensor
 
 
 def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
-    """Make the segments of labels (B, H, W) 4-connected, numbered 0…n-1 in each image: int64.
+    """Make the segments of labels (H, W) 4-connected, numbered 0…n-1: int64.
 
     Of each label the largest region is kept if it has at least ``smallest`` pixels. The pixels of
     all other regions join an adjacent segment, from the region's border inwards.
     """
     from skimage.measure import label  # slow to import
 
-    images = labels.cpu().numpy().astype(np.int32)
-    stride = int(images.max()) + 1
-    images += np.arange(len(images), dtype=np.int32)[:, None, None] * stride
-    # Images below one another have no label in common. Regions are numbered as they appear.
-    rows = images.reshape(-1, images.shape[2])
-    region = np.asarray(label(rows, background=-1, connectivity=1)).reshape(images.shape) - 1
+    image = labels.cpu().numpy().astype(np.int32)
+    # Regions are numbered as they appear.
+    region = np.asarray(label(image, background=-1, connectivity=1)) - 1
     size = np.bincount(region.reshape(-1))
     segment = np.empty(len(size), dtype=np.int32)
-    segment[region] = images
-    image = segment // stride
-    settled = _is_largest(segment, size) & (size >= smallest) | _is_largest(image, size)
-    # Settled regions are numbered 0…n-1 in each image in order of appearance; others get -1.
-    survivors = np.nonzero(settled)[0]
-    survivors = survivors[np.argsort(image[survivors], kind="stable")]
-    numbers = np.full(len(image), -1, dtype=np.int64)
-    owners = image[survivors]
-    numbers[survivors] = np.arange(len(survivors)) - np.searchsorted(owners, owners)
+    segment[region] = image
+    settled = _is_largest(segment, size) & (size >= smallest)
+    settled[size.argmax()] = True
+    # Settled regions are numbered in order of appearance; others get -1.
+    numbers = np.where(settled, settled.cumsum() - 1, -1)
     return torch.from_numpy(_grow(numbers[region])).to(labels.device)
 
 
@@ -42,12 +35,11 @@ def _is_largest(group: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 
 def _grow(numbers: np.ndarray) -> np.ndarray:
-    """Fill pixels of -1 in maps (B, H, W) by their highest 4-neighbour, repeatedly and in place."""
-    height, width = numbers.shape[1:]
+    """Fill pixels of -1 in a map (H, W) by their highest 4-neighbour, repeatedly and in place."""
+    height, width = numbers.shape
     flat = numbers.reshape(-1)
     empty = np.flatnonzero(flat == -1)
     row, column = np.divmod(empty, width)
-    row %= height
     # At the image border a pixel is its own neighbour; it is -1 and never the highest.
     neighbours = np.stack(
         [

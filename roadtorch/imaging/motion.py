@@ -10,8 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-FAST_FLOW = cv2.DISOPTICAL_FLOW_PRESET_FAST
-
 MIN_FLOW_SIDE = 32
 """Shortest side in pixels: OpenCV 5.0 crashes on smaller images with the fast presets."""
 
@@ -30,16 +28,12 @@ def flow_image(image: Tensor, width: int) -> Tensor:
     return torch.from_numpy(np.round(grey * 255).astype(np.uint8))
 
 
-def dense_flow(source: Tensor, target: Tensor, preset: int = FAST_FLOW) -> Tensor:
+def dense_flow(source: Tensor, target: Tensor) -> Tensor:
     """Compute the flow from ``source`` to ``target``: float32 (h, w, 2), pixels right and down.
 
-    source, target: uint8 (h, w). Raises ValueError for a side below ``MIN_FLOW_SIDE``.
+    source, target: uint8 (h, w), of ``flow_image``.
     """
-    if min(source.shape) < MIN_FLOW_SIDE:
-        raise ValueError(
-            f"no flow of {tuple(source.shape)}: give {MIN_FLOW_SIDE} pixels a side or more"
-        )
-    search = cv2.DISOpticalFlow.create(preset)
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
     flow = search.calc(source.numpy(), target.numpy(), None)  # type: ignore[arg-type]
     return torch.from_numpy(flow)
 

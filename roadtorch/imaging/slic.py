@@ -98,19 +98,17 @@ class CellGrid(NamedTuple):
 
 
 def slic(image: Tensor, segments: int = 300) -> Tensor:
-    """Cut sRGB (…, 3, H, W) in [0, 1] into about ``segments`` superpixels: labels int64 (…, H, W).
+    """Cut an image (3, H, W) in [0, 1] into about ``segments`` superpixels: labels int64 (H, W).
 
-    Takes an image or a batch. Labels are 0…n-1 in each image, and every segment is 4-connected.
+    Labels are 0…n-1, and every segment is 4-connected.
     """
-    batch = image if image.ndim == 4 else image[None]
-    height, width = batch.shape[-2:]
+    height, width = image.shape[-2:]
     grid = _grid(height, width, segments)
     step = COMPACTNESS * (segments / (height * width)) ** 0.5
-    distance_maps = _distance_maps(grid, step, len(batch)).to_images(batch)
-    coefficients = _coefficients(_move_centres(batch, grid, distance_maps), distance_maps)
-    labels = connect(_assign(batch, coefficients, grid), MIN_SEGMENT * height * width / segments)
-    labels = labels.to(image.device)
-    return labels if image.ndim == 4 else labels[0]
+    distance_maps = _distance_maps(grid, step).to_image(image)
+    coefficients = _coefficients(_move_centres(image, grid, distance_maps), distance_maps)
+    labels = connect(_assign(image, coefficients, grid), MIN_SEGMENT * height * width / segments)
+    return labels.to(image.device)
 
 
 def _grid(height: int, width: int, segments: int) -> CellGrid:
@@ -126,7 +124,7 @@ def _grid(height: int, width: int, segments: int) -> CellGrid:
 
 
 def _cells(maps: Tensor, grid: CellGrid, stride: int) -> Tensor:
-    """Split maps (B, C, H, W) into cells: (B, rows, columns, C, h, w), every ``stride``-th pixel.
+    """Split maps (C, H, W) into cells: (rows, columns, C, h, w), every ``stride``-th pixel.
 
     Pixels beyond the image are 0.
     """
@@ -136,8 +134,7 @@ def _cells(maps: Tensor, grid: CellGrid, stride: int) -> Tensor:
     beyond = grid.columns * wide - maps.shape[-1], rows * tall - maps.shape[-2]
     if any(beyond):
         maps = F.pad(maps, (0, beyond[0], 0, beyond[1]))
-    blocks = maps.reshape(len(maps), -1, rows, tall, grid.columns, wide)
-    return blocks.permute(0, 2, 4, 1, 3, 5)
+    return maps.reshape(-1, rows, tall, grid.columns, wide).permute(1, 3, 0, 2, 4)
 
 
 @lru_cache(maxsize=16)
@@ -155,8 +152,8 @@ class DistanceMaps(NamedTuple):
     metric: (5, 5). factors: (7, 54), from a centre c, cᵀMc and 1 to its 9 × 6 coefficients, seen
     from the cells of which it is the 1st, 2nd, … neighbour. sums: (54, 6), from a segment's sums in
     the nine cells around it to their total, seen from the segment's own cell. neighbours: int64
-    (B·cells·9,), index of the coefficients that a cell needs. back: int64 ((B·cells+1)·9,), index
-    of the sums that a segment needs; the last segment is beyond the grid.
+    (cells·9,), index of the coefficients that a cell needs. back: int64 ((cells+1)·9,), index of
+    the sums that a segment needs; the last segment is beyond the grid.
     """
 
     metric: Tensor
@@ -165,17 +162,16 @@ class DistanceMaps(NamedTuple):
     neighbours: Tensor
     back: Tensor
 
-    def to_images(self, images: Tensor) -> "DistanceMaps":
-        """Move to the device of images, floating-point parts to their precision."""
-        dtypes = (images.dtype if part.is_floating_point() else part.dtype for part in self)
-        return DistanceMaps(
-            *(part.to(images.device, dtype) for part, dtype in zip(self, dtypes, strict=True))
-        )
+    def to_image(self, image: Tensor) -> "DistanceMaps":
+        """Move to the device of an image, floating-point parts to its precision."""
+        dtypes = (image.dtype if part.is_floating_point() else part.dtype for part in self)
+        parts = zip(self, dtypes, strict=True)
+        return DistanceMaps(*(part.to(image.device, dtype) for part, dtype in parts))
 
 
 @lru_cache(maxsize=16)
 @torch.inference_mode(False)  # kept for callers in any mode
-def _distance_maps(grid: CellGrid, step: float, batch: int) -> DistanceMaps:
+def _distance_maps(grid: CellGrid, step: float) -> DistanceMaps:
     """Build the maps for squared distances |f-c-s|², where s is the offset of c's cell.
 
     |f-c|² = (f-c)ᵀM(f-c) over R, G, B, row, column: nearly Lab/100, and pixels times ``step``. In
@@ -197,10 +193,10 @@ def _distance_maps(grid: CellGrid, step: float, batch: int) -> DistanceMaps:
     factors[:, 6, 5] = (projected * shifts).sum(1) + most
     sums = torch.eye(6).repeat(NEIGHBOURS, 1, 1)
     sums[:, 5, :5] = shifts
-    cells = torch.arange(batch * grid.rows * grid.columns)
-    framed = F.pad(cells.reshape(batch, grid.rows, grid.columns), (1, 1, 1, 1), value=len(cells))
-    # The 3×3 cells around each cell of the batch; len(cells) stands for beyond the grid.
-    neighbours = framed.unfold(1, 3, 1).unfold(2, 3, 1).reshape(-1, NEIGHBOURS)
+    cells = torch.arange(grid.rows * grid.columns)
+    framed = F.pad(cells.reshape(grid.rows, grid.columns), (1, 1, 1, 1), value=len(cells))
+    # The 3×3 cells around each cell; len(cells) stands for beyond the grid.
+    neighbours = framed.unfold(0, 3, 1).unfold(1, 3, 1).reshape(-1, NEIGHBOURS)
     beyond = torch.full((1, NEIGHBOURS), len(neighbours))
     return DistanceMaps(
         metric,
@@ -213,7 +209,7 @@ def _distance_maps(grid: CellGrid, step: float, batch: int) -> DistanceMaps:
 
 
 def _coefficients(sums: Tensor, maps: DistanceMaps) -> Tensor:
-    """Turn sums over segments (B·cells+1, 6) into distance coefficients (B·cells, 9, 6).
+    """Turn sums over segments (cells+1, 6) into distance coefficients (cells, 9, 6).
 
     The last segment is the one beyond the grid, of no pixels.
     """
@@ -223,15 +219,14 @@ def _coefficients(sums: Tensor, maps: DistanceMaps) -> Tensor:
     return terms.reshape(-1, 6).index_select(0, maps.neighbours).reshape(-1, NEIGHBOURS, 6)
 
 
-def _move_centres(images: Tensor, grid: CellGrid, maps: DistanceMaps) -> Tensor:
-    """Run k-means on the grid; return sums of the points over each segment, (B·cells+1, 6).
+def _move_centres(image: Tensor, grid: CellGrid, maps: DistanceMaps) -> Tensor:
+    """Run k-means on the grid; return sums of the points over each segment, (cells+1, 6).
 
     Rows and columns are relative to the middle of the segment's own cell; the last sums are 0.
     """
-    ones = images.new_ones(1, 1, *images.shape[-2:])
-    positions = _cells(ones, grid, grid.stride) * _positions(grid, grid.stride).to(images)
-    positions = positions.expand(len(images), *positions.shape[1:])
-    points = torch.cat([_cells(images, grid, grid.stride), positions], 3).flatten(0, 2).flatten(2)
+    ones = image.new_ones(1, *image.shape[-2:])
+    positions = _cells(ones, grid, grid.stride) * _positions(grid, grid.stride).to(image)
+    points = torch.cat([_cells(image, grid, grid.stride), positions], 2).flatten(0, 1).flatten(2)
     turned = points.transpose(1, 2).contiguous()
     parts = points.new_zeros(len(points) + 1, NEIGHBOURS, 6)  # the last is beyond the grid
     most = max(1, CHUNK // (NEIGHBOURS * points.shape[2]))
@@ -249,34 +244,32 @@ def _move_centres(images: Tensor, grid: CellGrid, maps: DistanceMaps) -> Tensor:
     return sums
 
 
-def _assign(images: Tensor, coefficients: Tensor, grid: CellGrid) -> Tensor:
-    """Assign each pixel to the grid cell with the nearest centre: (B, H, W) int32 on the CPU.
+def _assign(image: Tensor, coefficients: Tensor, grid: CellGrid) -> Tensor:
+    """Assign each pixel to the grid cell with the nearest centre: (H, W) int32 on the CPU.
 
     Works in strips, so that points and distances fit the cache and memory is linear in pixels.
     """
-    batch, _, height, width = images.shape
-    coefficients = coefficients.reshape(batch, grid.rows, grid.columns, NEIGHBOURS, 6)
+    _, height, width = image.shape
+    coefficients = coefficients.reshape(grid.rows, grid.columns, NEIGHBOURS, 6)
     cells = np.arange(grid.rows * grid.columns, dtype=np.int32)
     cells = cells.reshape(grid.rows, 1, grid.columns, 1)
     move = np.add.outer([-grid.columns, 0, grid.columns], [-1, 0, 1]).astype(np.int32)
-    shape = (batch, grid.rows, grid.height, grid.columns, grid.width)
-    labels = np.empty(shape, dtype=np.int32)
-    most = max(1, CHUNK // (NEIGHBOURS * labels[:, 0].size))
-    strips = images.split(most * grid.height, 2)
-    size = (batch, min(most, grid.rows), grid.columns, 6, grid.height, grid.width)
-    points = images.new_empty(size)  # the last strip may be shorter
-    points[:, :, :, 3:] = _positions(grid, 1).to(images)
+    labels = np.empty((grid.rows, grid.height, grid.columns, grid.width), dtype=np.int32)
+    most = max(1, CHUNK // (NEIGHBOURS * labels[0].size))
+    strips = image.split(most * grid.height, 1)
+    size = (min(most, grid.rows), grid.columns, 6, grid.height, grid.width)
+    points = image.new_empty(size)  # the last strip may be shorter
+    points[:, :, 3:] = _positions(grid, 1).to(image)
     for top, strip in zip(range(0, grid.rows, most), strips, strict=True):
-        rows = min(most, grid.rows - top)
-        points[:, :rows, :, :3] = _cells(strip, grid, 1)
-        factors = coefficients[:, top : top + rows].reshape(-1, NEIGHBOURS, 6)
-        nearest = _nearest(factors, points[:, :rows].flatten(0, 2).flatten(2)).cpu().numpy()
-        owner = move.take(nearest.reshape(batch, rows, *shape[3:4], grid.height, grid.width))
-        np.add(
-            owner.transpose(0, 1, 3, 2, 4), cells[top : top + rows], out=labels[:, top : top + rows]
-        )
-    whole = labels.reshape(batch, grid.rows * grid.height, grid.columns * grid.width)
-    return torch.from_numpy(np.ascontiguousarray(whole[:, :height, :width]))
+        rows = slice(top, min(top + most, grid.rows))
+        count = rows.stop - top
+        points[:count, :, :3] = _cells(strip, grid, 1)
+        factors = coefficients[rows].reshape(-1, NEIGHBOURS, 6)
+        nearest = _nearest(factors, points[:count].flatten(0, 1).flatten(2)).cpu().numpy()
+        owner = move.take(nearest.reshape(count, grid.columns, grid.height, grid.width))
+        np.add(owner.transpose(0, 2, 1, 3), cells[rows], out=labels[rows])
+    whole = labels.reshape(grid.rows * grid.height, grid.columns * grid.width)
+    return torch.from_numpy(np.ascontiguousarray(whole[:height, :width]))
 
 
 def _nearest(coefficients: Tensor, points: Tensor) -> Tensor:

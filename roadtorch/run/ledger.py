@@ -148,14 +148,10 @@ class Ledger:
         if row is None or row.failed or row.method != key or item.digest is None:
             return False
         cues = filter(None, row.cues.split("/"))
-        of_cues = [end.format(cue) for cue in cues for end in suffixes if "{}" in end]
-        is_whole = self.has_files(item, [*suffixes, *of_cues])
+        ends = [end.format(cue) for cue in cues for end in suffixes if "{}" in end]
+        ends += [end for end in suffixes if "{}" not in end]
+        is_whole = all(has_result(self.folder, item.name + end) for end in ends)
         return is_whole and {*kinds} <= {*row.saved.split()} and row.sha256 == item.digest() != ""
-
-    def has_files(self, item: Item | Source, suffixes: Iterable[str]) -> bool:
-        """Return whether the files of all suffixes exist, except those of cues."""
-        ends = [end for end in suffixes if "{}" not in end]
-        return all(has_result(self.folder, item.name + end) for end in ends)
 
     def add(self, row: IndexRow) -> None:
         """Append a row, keeping earlier kinds of its key and bytes; InputError if unwritable."""

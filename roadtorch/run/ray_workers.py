@@ -42,7 +42,7 @@ class Actor:
 class RayWorker:
     """An actor with one CPU, and one GPU where the device is CUDA."""
 
-    def __init__(self, ray: Any, options: dict[str, Any], task: TaskFunction) -> None:
+    def __init__(self, ray: Any, options: dict[str, object], task: TaskFunction) -> None:
         self._ray, self.result = ray, None
         data = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
         self._actor = ray.remote(**options)(Actor).remote(data, Threads.current())
@@ -82,7 +82,7 @@ def ray_workers(workers: int, address: str | None, device: str) -> Iterator[Work
     # of a local cluster inherit the environment of this process.
     threads = {"OMP_NUM_THREADS": str(Threads.current().torch)}
     os.environ.update(QUIET_VARIABLES, **threads)
-    options: dict[str, Any] = {"num_cpus": 1}
+    options: dict[str, object] = {"num_cpus": 1}
     options |= {"num_gpus": 1} if device.startswith("cuda") else {}
     options |= {"runtime_env": {"env_vars": threads}} if address is not None else {}
     with TemporaryDirectory(prefix="rt-", ignore_cleanup_errors=True) as folder:

@@ -7,7 +7,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import click
 
@@ -52,16 +52,13 @@ class Run:
         suffixes = task.writer.suffixes
         self._remove_leftovers(items)
         todo = [item for item in items if not self._is_done(item, task, suffixes)]
-        outdated = [] if self.options.overwrite else todo
-        outdated = [item for item in outdated if item.row_name in self.ledger.rows]
-        again = sum(self.ledger.has_files(item, suffixes) for item in outdated)
         with stop_on_signals() as stop:
             results = self.workers.map(task, until_stopped(todo, stop), crashed_row)
             with closing(results), self._progress(results, "image", len(todo)) as bar:
                 tried = [self._record(row, bar) for row in bar]
             self._remove_leftovers(items)  # of workers that died
         stop.raise_if_requested()
-        return self._summarize(tried, len(items) - len(todo), again)
+        return self._summarize(tried, len(items) - len(todo))
 
     def process_sources(self, plan: Plan, task: Task, smoothing: bool) -> int:
         """Process the sources that are not done yet, and return the exit code.
@@ -143,7 +140,7 @@ class Run:
 
     # --- output on the terminal ---------------------------------------------------------
 
-    def _progress(self, items: Any, unit: str, total: int | None) -> Progress:
+    def _progress(self, items: Iterable[object], unit: str, total: int | None) -> Progress:
         return Progress(items, total=total, unit=unit, quiet=self.options.quiet)
 
     def _record(self, row: IndexRow, bar: Progress) -> IndexRow:
@@ -153,15 +150,13 @@ class Run:
         self.ledger.add(row)
         return row
 
-    def _summarize(self, rows: Sequence[IndexRow], skipped: int, again: int = 0) -> int:
+    def _summarize(self, rows: Sequence[IndexRow], skipped: int) -> int:
         """Print counts on stderr and the least trusted images, unless quiet; return the exit code.
 
-        rows: of all images, or all sources, that were processed. again: number of redone images.
+        rows: of all images, or all sources, that were processed.
         """
         statuses = Counter(row.status.partition(":")[0] for row in rows)
-        done = f"{statuses[DONE] + statuses[DOUBTFUL]} done" + (
-            f" ({again} redone)" if again else ""
-        )
+        done = f"{statuses[DONE] + statuses[DOUBTFUL]} done"
         counts = {"skipped (done before)": skipped}
         counts |= {status: statuses[status] for status in (PARTIAL, FAILED)}
         failed = statuses[PARTIAL] + statuses[FAILED]

@@ -14,7 +14,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from mmap import mmap
 from multiprocessing import connection, get_context
@@ -86,13 +86,14 @@ class Workers:
             yield from map(task, items)
             return
         items, end = iter(items), None
-        workers, idle = list[Any](), list[Any]()
+        stopping, idle = ExitStack(), list[Any]()
         busy: dict[Any, tuple[_Item, Future[_Result]]] = {}
         pending: deque[Future[_Result]] = deque()
 
         def start() -> Any:
-            workers.append((self.start or _Process)(task))
-            return workers[-1]
+            worker = (self.start or _Process)(task)
+            stopping.callback(worker.stop)
+            return worker
 
         def collect(timeout: float | None = None) -> None:
             for worker in self.wait([*busy], timeout):
@@ -131,12 +132,9 @@ class Workers:
                 raise end
         finally:
             latest = monotonic() + SHUTDOWN_TIMEOUT
-            try:
+            with stopping:  # also after a second signal
                 while busy and monotonic() < latest:
                     collect(latest - monotonic())
-            finally:  # also after a second signal
-                for worker in workers:
-                    worker.stop()
 
 
 def count_processors() -> int:

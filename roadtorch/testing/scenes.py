@@ -385,12 +385,9 @@ def write_scenes() -> None:
     parser = argparse.ArgumentParser(description="Write rendered street scenes as PNG files.")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--count", type=int, default=6)
-    parser.add_argument("--height", type=int, default=240)
-    parser.add_argument("--width", type=int, default=320)
     options = parser.parse_args()
     for seed in range(options.count):
-        scene = render_scene(seed, options.height, options.width)
-        write_image(options.out / f"scene_{seed:02d}.png", scene)
+        write_image(options.out / f"scene_{seed:02d}.png", render_scene(seed))
 
 
 if __name__ == "__main__":

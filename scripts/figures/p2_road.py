@@ -17,7 +17,7 @@ from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.curves import Curve, area, operating_points, roc
+from roadtorch.evaluation.curves import Curve, area, operating_points
 from roadtorch.evaluation.methods import Predictor, contender_from_name
 from roadtorch.evaluation.report.montage import apply_colormap
 from roadtorch.evaluation.tally import PooledCounts
@@ -78,7 +78,7 @@ def fig6a(data: Path, out: Path) -> None:
     for name, dataset in sets.items():
         tallies = count_images(dataset, contenders)
         rows += area_rows(tallies, {"set": name, "images": len(dataset.items)})
-        curves = {title: roc(observe(tallies[title]).pooled.road) for title in LINES}
+        curves = {title: operating_points(observe(tallies[title]).pooled.road) for title in LINES}
         draw_roc(curves, out / f"p2-fig6a-{name}.png")
     show_table(out / "p2-fig6a.csv", rows)
 

@@ -183,7 +183,7 @@ def test_the_report_says_what_the_time_bought(session: Session) -> None:
     assert lines[1].split()[:3] == [NAME, "1", "60"]
     assert "1 image, 1 confirmed; 1 click, 1.0 minutes" in lines[3]
     assert "mean F" in lines[5]
-    assert lines[6].startswith("per ten minutes: 10.0 confirmed images, 10 clicks")
+    assert len(lines) == 6
 
 
 def test_the_least_trusted_images_come_first_and_confirmed_ones_last(session: Session) -> None:

@@ -13,7 +13,6 @@ from tests.command import Call, bytes_in, save_image
 from tests.videos import write_video
 
 ROWS = "--detector prior:rows"
-ROWS = "--detector prior:rows"
 MISTAKES = {
     # Commands and options
     "infr": "infr: no such command (did you mean infer?)",

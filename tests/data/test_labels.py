@@ -144,13 +144,11 @@ corners = st.lists(
 )  # beyond the image too
 
 
-Fill = Callable[[np.ndarray, np.ndarray, int], None]
+Fill = Callable[[np.ndarray, tuple[int, int]], np.ndarray]
 
 
 def draw_mask(points: list[tuple[float, float]], fill: Fill = fill_polygon) -> np.ndarray:
-    canvas = np.zeros(SIZE, np.uint8)
-    fill(np.array(points, np.float64), canvas, 1)
-    return canvas > 0
+    return fill(np.array(points, np.float64), SIZE)
 
 
 def box(x1: float, y1: float, x2: float, y2: float) -> list[tuple[float, float]]:

@@ -229,16 +229,6 @@ def test_about_as_many_segments_as_asked_for(height: int, width: int, segments: 
     assert 0.75 * segments <= count <= 1.35 * segments
 
 
-@pytest.mark.parametrize(("height", "width"), [(48, 64), (33, 47)])
-def test_a_batch_gives_the_segments_of_each_image_alone(height: int, width: int) -> None:
-    images = torch.stack(
-        [textured(height, width, 1), torch.zeros(3, height, width), textured(height, width, 2)]
-    )
-
-    alone = torch.stack([slic(image, segments=40) for image in images])
-    assert torch.equal(slic(images, segments=40), alone)
-
-
 def test_segments_keep_to_a_slanted_edge() -> None:
     light = torch.arange(160) / 160 > 0.3 + 0.37 * torch.arange(120)[:, None] / 120
 
@@ -255,9 +245,9 @@ def test_segments_keep_to_a_slanted_edge() -> None:
 def test_each_pixel_goes_to_the_nearest_of_nine_centres(height: int, width: int) -> None:
     # Inside slic, because its result is repaired by ``connect`` before it comes out.
     grid, image = superpixels._grid(height, width, 20), textured(height, width)
-    maps = superpixels._distance_maps(grid, 0.1 * 0.12, 1)
-    sums = superpixels._move_centres(image[None], grid, maps)
-    owner = superpixels._assign(image[None], superpixels._coefficients(sums, maps), grid)[0].numpy()
+    maps = superpixels._distance_maps(grid, 0.1 * 0.12)
+    sums = superpixels._move_centres(image, grid, maps)
+    owner = superpixels._assign(image, superpixels._coefficients(sums, maps), grid).numpy()
     metric, sums = maps.metric, sums[:-1]
 
     root = np.linalg.cholesky(metric.double().numpy()).T  # |f-c| in the metric is |root(f-c)|
@@ -282,12 +272,12 @@ def test_each_pixel_goes_to_the_nearest_of_nine_centres(height: int, width: int)
 @settings(max_examples=80)
 @given(st.integers(0, 10**6), st.integers(1, 9), st.integers(1, 9), st.integers(1, 12))
 def test_small_regions_join_others(seed: int, height: int, width: int, smallest: int) -> None:
-    labels = torch.randint(5, (1, height, width), generator=seeded_generator(seed))
+    labels = torch.randint(5, (height, width), generator=seeded_generator(seed))
 
-    found = connect(labels, smallest)[0]
+    found = connect(labels, smallest)
 
     check_segments(found)
-    assert np.array_equal(found, reference.connected(labels[0].numpy(), smallest))
+    assert np.array_equal(found, reference.connected(labels.numpy(), smallest))
 
 
 def test_squares_are_numbered_by_rows_and_cut_off_at_the_edges():

@@ -54,7 +54,7 @@ def test_other_options_are_not_done_before(
     again, third, fewer = run(*options), run(*options), run(*options, "--save", "likelihood")
 
     call("infer", footage, *ROWS, "--out", tmp_path / "alone", *options)
-    assert again.stderr == f"roadtorch: 3 done (3 redone); results in {out}\n"
+    assert again.stderr == f"roadtorch: 3 done; results in {out}\n"
     assert bytes_in(tmp_path / "alone").items() <= bytes_in(out).items()
     for nothing_new in (third, fewer):
         assert nothing_new.stderr.startswith("roadtorch: 0 done, 3 skipped")

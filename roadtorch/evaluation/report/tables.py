@@ -157,7 +157,9 @@ def part_table(
     Below the groups are their mean and those left out; conditions are followed by the number of
     their groups. The last column is the best baseline's MaxF. limit: maximum number of rows.
     """
-    parts = _groups(evaluation) if part == "group" else _conditions(evaluation)
+    parts = _conditions(evaluation)
+    if part == "group":
+        parts = {group: evaluation.group_scores(group) for group in evaluation.groups}
     defined = F_MASK.get_defined({label: scores[name] for label, scores in parts.items()})
     worst_first = sorted(parts, key=lambda label: defined.get(label, math.inf))[:limit]
     rows = {label: parts[label] for label in worst_first}
@@ -180,15 +182,8 @@ def best_baseline_maxf(evaluation: Evaluation, parts: Mapping[str, Scores]) -> f
     return max(MAXF.get_defined({name: parts[name] for name in names}).values(), default=math.nan)
 
 
-PartScores = Mapping[str, Mapping[str, Scores]]  # scores of all detectors, by group or condition
-
-
-def _groups(evaluation: Evaluation) -> PartScores:
-    return {group: evaluation.group_scores(group) for group in evaluation.groups}
-
-
-def _conditions(evaluation: Evaluation) -> PartScores:
-    """Return the scores of each condition, by its name with the number of its groups."""
+def _conditions(evaluation: Evaluation) -> dict[str, dict[str, Scores]]:
+    """Return the scores of all detectors by condition, its name with the number of its groups."""
     items, parts = evaluation.dataset.items_by_condition(), {}
     for condition in evaluation.conditions:
         groups = len({item.group for item in items[condition]} - {None})

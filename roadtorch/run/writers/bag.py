@@ -81,7 +81,7 @@ class BagWriter:
         self.path, self._frame_id, self._threshold, self._draw = path, frame_id, threshold, draw
         self._folder = path.with_name(f"{path.name}.{secrets.token_hex(4)}.unfinished")
         self._writer: Any = None
-        self._connections: dict[str, Any] = {}
+        self._connections: dict[str, object] = {}
         self._start: int | None = None
         self._latest = 0
 
@@ -150,7 +150,7 @@ class BagWriter:
             raise self._write_error(error) from None
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _add(self, topic: str, kind: str, stamp: int, message: Any) -> None:
+    def _add(self, topic: str, kind: str, stamp: int, message: object) -> None:
         try:
             writer = self._open() if self._writer is None else self._writer
             if topic not in self._connections:
@@ -183,11 +183,11 @@ class BagWriter:
         self._writer = writer
         return writer
 
-    def _connect(self, topic: str, kind: str) -> Any:
+    def _connect(self, topic: str, kind: str) -> object:
         """Add the connection of a topic; the label info is latched for late subscribers."""
         is_latched = topic == LABELS_TOPIC
         if self._generation == 1:
-            options: dict[str, Any] = {"callerid": "/roadtorch", "latching": int(is_latched)}
+            options: dict[str, object] = {"callerid": "/roadtorch", "latching": int(is_latched)}
         else:
             durability, depth = ("TRANSIENT_LOCAL", 1) if is_latched else ("VOLATILE", 10)
             options = {"offered_qos_profiles": [_qos_profile(durability, depth)]}
@@ -199,7 +199,7 @@ class BagWriter:
         return InputError(self.path, failure.problem + saved, failure.hint)
 
 
-def _qos_profile(durability: str, depth: int) -> Any:
+def _qos_profile(durability: str, depth: int) -> object:
     """Return a reliable QoS profile (DDS) with a history of ``depth`` messages."""
     from rosbags import interfaces
 

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePath
-from typing import Any
 
 from roadtorch.base.atomic import atomic_write
 from roadtorch.base.bounded import from_printable
@@ -12,11 +11,11 @@ from roadtorch.run.ledger import COCO_FILE, INDEX_FILE, IndexRow, has_result, re
 
 POLYGONS_SUFFIX = ".coco.json"  # suffix of the COCO file of an image
 
-Annotation = Mapping[str, Any]
+Annotation = Mapping[str, object]
 
 
 class _PolygonsFile(ForeignDocument):
-    annotations: tuple[dict[str, Any], ...]
+    annotations: tuple[dict[str, object], ...]
 
 
 def write_coco(folder: Path) -> None:
