@@ -35,7 +35,7 @@ LINES = {
     "roadtorch/ufl": 1_345,
     "scripts": 4_792,
     "tests": 26_779,
-    "train": 4_446,
+    "train": 4_444,
 }
 """The lines of source code that each folder may have."""
 
