@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 from textwrap import fill
-from typing import Annotated
+from typing import Annotated, Any
 
 import tomli_w
 import torch
@@ -185,13 +185,13 @@ class Camera(Settings):
             if template_similarity(self.template, gradient) < self.template.min_similarity:
                 raise InputError("image", "does not show this camera's ego car", WRONG_CAMERA_HINT)
 
-    def settings_for(self, settings_class: type[Settings]) -> dict[str, object]:
+    def settings_for(self, settings_class: type[Settings]) -> dict[str, Any]:
         """Return the values, nested, that a detector's settings take from this camera.
 
         Every detector takes the ego car and a lens with distortion, those with a labeller the
         horizon, and illuminant-invariant the invariant angle.
         """
-        values: dict[str, object] = {}
+        values: dict[str, Any] = {}
         if "invariant_angle" in settings_class.model_fields and self.invariant_angle is not None:
             values["invariant_angle"] = self.invariant_angle
         if has_ego_car(self.ego):

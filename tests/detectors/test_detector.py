@@ -83,7 +83,7 @@ def test_what_is_kept_for_later_calls_is_no_tensor_of_inference_mode() -> None:
     with torch.inference_mode():
         kept = [
             superpixels._positions(grid, 1),
-            *superpixels._distance_maps(grid, 0.0123, 1),
+            *superpixels._distance_maps(grid, 0.0123),
             base._quantum_steps(axes),
             variance_floor(axes),
         ]
