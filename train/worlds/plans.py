@@ -1,7 +1,7 @@
 """Plans of worlds by number: ground, light, weather, crowd, camera mount, side of traffic.
 
 A number's plan is one of a hundred in turn, of plans.csv. The pack on which networks learn is
-train/worlds.csv, of 50000 to 52999. Numbers below 50000 gave other images before.
+train/worlds.csv, of 50000 to 52999. Numbers gave other images before bc195b6.
 """
 
 from collections.abc import Iterable, Mapping
