@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -36,8 +36,11 @@ UNNAMED_MODELS = {5: "plumb_bob", 8: "rational_polynomial", 14: "rational_polyno
 RECTIFIED_TOPIC = re.compile(r"(^|[/_])rect(ified)?([/_]|$)")
 """Topics of rectified images, as of image_proc: ``image_rect``, ``left_rect/image``."""
 
+MAX_SKEW = 0.5  # pixels by which K may shear the image, which no lens here does
+MAX_ROTATION_ERROR = 0.01  # of an element of R Rᵀ; KITTI's rotations are rounded
 
-def _matrix_values(matrix: object) -> object:
+
+def _matrix_values(matrix: Any) -> Any:
     """Return the numbers of a matrix as camera_calibration or a message has it, else as it is."""
     values = matrix.get("data") if isinstance(matrix, Mapping) else matrix
     return values if values is None else getattr(values, "tolist", lambda: values)()
@@ -78,15 +81,9 @@ class _KalibrCamera(ForeignDocument):
     def camera_info(self) -> _CameraInfo:
         """Return the camera as camera_calibration describes it."""
         (fx, fy, cx, cy), (width, height) = self.intrinsics, self.resolution
-        return _CameraInfo.model_validate(
-            {
-                "width": width,
-                "height": height,
-                "k": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-                "d": [*self.distortion_coeffs],
-                "distortion_model": self.distortion_model,
-            }
-        )
+        values: dict[str, Any] = {"width": width, "height": height, "d": [*self.distortion_coeffs]}
+        values |= {"k": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]}
+        return _CameraInfo(**values, distortion_model=self.distortion_model)
 
 
 def read_camera_info(path: str | os.PathLike[str]) -> Lens:
@@ -131,7 +128,7 @@ def _load_yaml(path: Path, text: str) -> Any:
         raise ConfigError(path, f"is not YAML: {reason(error)}", CAMERA_INFO_HINT) from None
 
 
-def lens_from_camera_info(origin: str, message: object, topic: str) -> Lens:
+def lens_from_camera_info(origin: str, message: Any, topic: str) -> Lens:
     """Return the lens of a CameraInfo message of rosbags or rclpy, for the images on a topic.
 
     It is K and D, or P where the topic has rectified images, less the region's offset.
@@ -156,10 +153,15 @@ def lens_from_camera_info(origin: str, message: object, topic: str) -> Lens:
 
 def _build_lens(path: str | os.PathLike[str], info: _CameraInfo) -> Lens:
     """Return the lens of the images; ConfigError naming the path for what no lens has."""
-    focal_x, _, centre_x, _, focal_y, centre_y, *_ = info.matrix
-    width, height, region = info.width, info.height, info.roi
-    if not (0.05 < centre_x / max(width, 1) < 0.95 and abs(centre_y) < 1.5 * height):
+    focal_x, skew, centre_x, shear, focal_y, centre_y, *last = info.matrix
+    width, height, region, problem = info.width, info.height, info.roi, ""
+    if not np.allclose([shear, *last], [0, 0, 0, 1], atol=1e-6):
+        problem = f"K ends in {', '.join(f'{value:g}' for value in last)}, not in 0, 0, 1"
+    elif abs(skew) * height > 2 * MAX_SKEW * abs(focal_y):
+        problem = f"K has a skew of {skew:g}, which is not modelled"
+    elif not (0.05 < centre_x / max(width, 1) < 0.95 and abs(centre_y) < 1.5 * height):
         problem = f"K is centred at {centre_x:g}, {centre_y:g} of {width}×{height} pixels"
+    if problem:
         hint = "give K in pixels, of the size that the file states"
         raise ConfigError(path, f"is not a valid lens: {problem}", hint)
     if region.width and region.height:
@@ -167,7 +169,7 @@ def _build_lens(path: str | os.PathLike[str], info: _CameraInfo) -> Lens:
         centre_x, centre_y = centre_x - region.x_offset, centre_y - region.y_offset
     names = ("width", "height", "focal_x", "centre_x", "focal_y", "centre_y")
     numbers = (width, height, focal_x, centre_x, focal_y, centre_y)
-    values: dict[str, object] = dict(zip(names, numbers, strict=True))
+    values: dict[str, Any] = dict(zip(names, numbers, strict=True))
     model = _distortion_model(path, info)
     if any(info.distortion) or model == "equidistant":  # no pinhole even if all are 0
         values |= {"model": model, "coefficients": tuple(info.distortion)}
@@ -215,7 +217,7 @@ def read_calibration(path: Path) -> Calibration:
     """Read P2, R0_rect and Tr_cam_to_road from a calibration file; other rows are ignored.
 
     Raises DatasetError naming file and row when the file is missing, a row has another length or
-    non-finite numbers, or the pose is no rotation.
+    non-finite numbers, or is not that of a camera above the road.
     """
     with read_document(path, "give the image's calibration file") as text:
         lines = (line.partition(":") for line in text.decode().splitlines())
@@ -226,9 +228,37 @@ def read_calibration(path: Path) -> Calibration:
             problem = f"{name} does not have {length} finite numbers"
             raise DatasetError(path, problem, "replace the file")
     calibration = Calibration(*rows.values())
-    if not _pad_to_4x4(calibration.camera_to_road, 4).det() > 0.5:  # 1 but for rounding
-        raise DatasetError(path, "Tr_cam_to_road is no rotation", "replace the file")
+    for name, problem in _calibration_problems(calibration):
+        raise DatasetError(path, f"{name} {problem}", "replace the file")
     return calibration
+
+
+def _calibration_problems(calibration: Calibration) -> Iterator[tuple[str, str]]:
+    """Yield the rows that are not those of a camera above the road, and what is wrong."""
+    projection = np.array(calibration.projection).reshape(3, 4)
+    focal_lengths = projection[[0, 1], [0, 1]]
+    if not np.allclose(projection[2, :3], (0, 0, 1), atol=1e-6):
+        yield "P2", "does not end in 0 0 1 and a shift"
+    elif not ((focal_lengths > 0) & (focal_lengths <= 1e6)).all():
+        yield "P2", f"has the focal lengths {focal_lengths[0]:g} and {focal_lengths[1]:g}"
+    matrices = calibration.rectification, calibration.camera_to_road
+    for name, values in zip(list(KITTI_ROWS)[1:], matrices, strict=True):
+        rotation = np.array(values).reshape(3, -1)[:, :3]
+        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if error > MAX_ROTATION_ERROR or np.linalg.det(rotation) < 0:
+            return (yield name, "is no rotation")
+    height = -_camera_in_road(calibration)[1][1]
+    if not 0 < height <= 1000:
+        yield "Tr_cam_to_road", f"has the camera {height:g} m above the road"
+
+
+def _camera_in_road(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rotation (3, 3) from the rectified camera to the road, and the camera (3,)."""
+    projection = np.array(calibration.projection).reshape(3, 4)
+    camera_to_road = np.array(calibration.camera_to_road).reshape(3, 4)
+    rotation = camera_to_road[:, :3] @ np.linalg.inv(np.reshape(calibration.rectification, (3, 3)))
+    shift = -np.linalg.solve(projection[:, :3], projection[:, 3])
+    return rotation, rotation @ shift + camera_to_road[:, 3]
 
 
 def road_homography(calibration: Calibration) -> Tensor:

@@ -1,11 +1,14 @@
-"""Lenses of foreign calibration files: camera_calibration, OpenCV, Kalibr, printed messages."""
+"""Lenses of foreign calibration files: camera_calibration, OpenCV, Kalibr, messages, KITTI."""
 
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from roadtorch.base.errors import RoadtorchError
-from roadtorch.camera.calibration import read_camera_info
+from roadtorch.camera.calibration import read_calibration, read_camera_info
+from tests.reference import bev as reference
 
 CALIBRATION_YAML = """
 image_width: 640
@@ -97,6 +100,9 @@ def test_info_files(text: str, model: str, coefficients: tuple[float, ...], tmp_
         (CALIBRATION_YAML.replace("-0.3, ", ".nan, "), "input should be a finite number"),
         (CALIBRATION_YAML.replace("-0.3, 0.1, 0.001", "-0.3"), "plumb_bob has 4 or 5 coefficients"),
         ("!!python/object/apply:os.system ['true']", "is not YAML"),
+        (CALIBRATION_YAML.replace("0, 0, 1]", "0, 0, 2]"), "K ends in 0, 0, 2, not in 0, 0, 1"),
+        (CALIBRATION_YAML.replace("0, 0, 1]", "0, 0, 0]"), "K ends in 0, 0, 0"),
+        (CALIBRATION_YAML.replace("500, 0, 320.5", "500, 9, 320.5"), "K has a skew of 9"),
         (CALIBRATION_YAML.replace("500, 0, 320.5", ".8, 0, .5"), "K is centred at 0.5, 240"),
         (CALIBRATION_YAML.replace("500, 0, 320.5", "1000, 0, 639"), "K is centred at 639, 240"),
         (CALIBRATION_YAML.replace("plumb_bob", "''").replace("1, 0.001", "1"), "has 4 distortion"),
@@ -110,3 +116,28 @@ def test_other_files_are_refused_by_name(tmp_path: Path, text: str, message: str
     with pytest.raises(RoadtorchError, match=r"info\.yaml: ") as error:
         read_camera_info(tmp_path / "info.yaml")
     assert message in str(error.value)
+
+
+# --- KITTI ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("row", "change", "message"),
+    [
+        ("P2", lambda matrix: matrix * (-1, 1, 1, 1), "P2 has the focal lengths -130 and 130"),
+        ("P2", lambda matrix: matrix * 2, "P2 does not end in 0 0 1"),
+        ("P2", lambda matrix: matrix * [[1], [1], [0]], "P2 does not end in 0 0 1"),
+        ("R0_rect", lambda matrix: matrix * 0, "R0_rect is no rotation"),
+        ("Tr_cam_to_road", lambda matrix: matrix * (-1, 1, 1, 1), "Tr_cam_to_road is no rotation"),
+        ("Tr_cam_to_road", lambda matrix: matrix * (1, 1, 1, -1), "Tr_cam_to_road has the camera"),
+        ("Tr_cam_to_road", lambda matrix: matrix * (1, 1, 1, 1000), "16[0-9.]+ m above the road"),
+    ],
+)
+def test_rows_of_no_camera_above_a_road_are_refused_by_name(
+    row: str, change: Callable[[np.ndarray], np.ndarray], message: str, tmp_path: Path
+) -> None:
+    rows = reference.made_up_rows()
+    (tmp_path / "um.txt").write_text(reference.calibration_text({**rows, row: change(rows[row])}))
+
+    with pytest.raises(RoadtorchError, match=rf"um\.txt: .*{message}"):
+        read_calibration(tmp_path / "um.txt")

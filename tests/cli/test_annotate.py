@@ -7,6 +7,7 @@ import pytest
 
 from roadtorch.annotate.server import PageServer
 from roadtorch.annotate.session import open_session
+from roadtorch.base.atomic import lock_folder
 from roadtorch.cli.annotate import LABEL_FORMAT
 from roadtorch.data import correction_formats
 from roadtorch.data.corrections import read_corrections, read_logs
@@ -69,6 +70,13 @@ def test_packages_are_missing(call: Call, footage: Path, monkeypatch: pytest.Mon
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     result = call("annotate", footage, *QUICK)
     assert "pip install 'roadtorch[annotate]'" in result.stderr
+
+
+def test_two_at_once_are_refused(call: Call, footage: Path) -> None:
+    (footage / "corrections").mkdir()
+    with lock_folder(footage / "corrections"):
+        result = call("annotate", footage, *QUICK)
+    assert "another run is writing here" in result.stderr
 
 
 def test_report_export_and_import(call: Call, corrected: Path, tmp_path: Path) -> None:

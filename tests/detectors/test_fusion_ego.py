@@ -14,14 +14,11 @@ from roadtorch.detectors.detector import Detector
 from roadtorch.imaging.resize import resize_maps
 from roadtorch.road.ego import Ego, ego_car, extrapolate_over_ego
 from roadtorch.testing import detection_violations
+from tests.detectors.test_fusion import CUES
 from tests.networks import write_ego_network
 from tests.streets import scene
 
 BOTTOM = 0.25
-CUES = {
-    *("layout", "layout_labels", "learned_road", "texture", "uniformity", "fused_plane"),
-    *("saturated", "distance", "position", "segments", "seed_area", "ego"),
-}
 
 
 @pytest.fixture(scope="module")
@@ -51,13 +48,20 @@ def car(height: int, width: int) -> Tensor:
     return ((torch.arange(height) + 0.5) / height > 1 - BOTTOM)[:, None].expand(height, width)
 
 
+def test_the_ego_car_is_where_the_network_sees_it_below_road(detected: Detection) -> None:
+    right = detected.mask & scene(3, 96, 128, shadows=0).road
+
+    assert torch.equal(detected.cues["ego"], car(96, 128))
+    assert set(detected.cues) == CUES
+    assert right.sum() > 0.7 * detected.mask.sum() > 0
+
+
 def test_an_ego_car_that_is_told_counts_beside_the_one_found(weights: Path) -> None:
     left_half = Ego(outline=(0.0, 0.0, 1.0, 1.0))
 
     detection = fusion(weights, ego=left_half.model_dump(), threshold=0.0).detect(street())
 
     expected = car(96, 128) | ego_car(street(), left_half)
-    assert set(detection.cues) == CUES
     assert torch.equal(detection.cues["ego"], expected)
     assert torch.equal(detection.mask, ~expected)
     assert not detection.likelihood[expected].any()
@@ -86,6 +90,17 @@ def test_road_that_does_not_reach_the_ego_car_is_isolated(seed: int, weights: Pa
     regions, numbers = cv2.connectedComponents(dropped.byte().numpy(), connectivity=4)
     assert {*numbers[last].tolist()} >= {*range(1, regions)}
     assert (kept & ~dropped).any()
+
+
+def test_where_hidden_ground_alone_reaches_the_seed_area_nothing_is_dropped(weights: Path) -> None:
+    image = scene(1, 96, 128).image
+
+    kept, dropped = (
+        fusion(weights, isolated=problem).detect(image).mask for problem in ("keep", "drop")
+    )
+
+    assert kept.any()
+    assert torch.equal(dropped, kept)
 
 
 def test_above_the_ground_goes_on(weights: Path, detected: Detection) -> None:

@@ -16,7 +16,7 @@ from roadtorch.detectors.detection import Detection
 from roadtorch.detectors.detector import Detector
 from roadtorch.detectors.oneclass import ENTRIES
 from roadtorch.imaging.color import REPRESENTATIONS, color_planes
-from roadtorch.oneclass import CLASSIFIERS, fit, make_axes, samples
+from roadtorch.oneclass import CLASSIFIERS, FittedClassifier, fit, make_axes, samples
 from roadtorch.oneclass.samples import AllSampleSettings, SampleSettings, road_samples
 from roadtorch.testing.scenes import render_scene
 from tests.representatives import representatives
@@ -130,3 +130,19 @@ def test_planes_and_superpixels_are_made_once_for_all_detectors() -> None:
     assert max(planes.count(name) for name in planes) <= 2  # by colours, and by distinct values
     for name in names:
         assert torch.equal(detections[name].likelihood, detected(name).likelihood)
+
+
+@pytest.mark.parametrize("planes", ["R", "V"])
+def test_of_a_byte_plane_no_more_than_its_levels_are_scored(planes: str) -> None:
+    image = torch.randint(256, (3, 100, 100)).to(torch.float32) / 255
+    sizes = []
+    score = FittedClassifier.distance
+
+    def watched(fitted: FittedClassifier, pixels: Tensor) -> Tensor:
+        sizes.append(len(pixels))
+        return score(fitted, pixels)
+
+    with patch.object(FittedClassifier, "distance", watched):
+        detector(f"gaussian:{planes}").detect(image)
+
+    assert 0 < sum(sizes) <= 256

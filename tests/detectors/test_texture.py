@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.imaging.color import color_plane
 from roadtorch.imaging.slic import square_grid
-from roadtorch.road.seed_area import seed_rectangle
+from roadtorch.road.seed_area import SeedArea, seed_rectangle
 from roadtorch.road.texture import (
     Saturation,
     TextureSettings,
@@ -57,6 +58,29 @@ def test_the_likelihood_is_one_per_segment_by_its_uniformity(name: str, midpoint
     if name != "lbp":
         uniformity = detection.cues["uniformity"]
         assert torch.allclose(detection.likelihood, uniformity / (uniformity + midpoint))
+
+
+def test_grey_uniformity_is_that_of_the_grey_levels_of_each_segment() -> None:
+    detection = load_detector("grey-uniformity", bins=32).detect(street())
+
+    segments = detection.cues["segments"]
+    levels = (color_plane(street(), "grey") * 32).long().clamp(0, 31)
+    for number, value in enumerate(per_segment(detection.cues["uniformity"], segments)):
+        shares = levels[segments == number].bincount(minlength=32) / (segments == number).sum()
+        assert float(value) == pytest.approx(float(shares.square().sum()), abs=1e-5)
+
+
+def test_the_fused_plane_varies_least_over_the_seed_area_and_a_single_plane_is_its_own() -> None:
+    seed = SeedArea(height=60, width=120)
+
+    cues = load_detector("cpf", seed_area=seed, texture={"ridge": 1e-6}).detect(street()).cues
+
+    rows, columns = slice(72, 96), slice(40, 88)
+    variance = cues["fused_plane"][rows, columns].var()
+    for name in TextureSettings().planes:
+        assert variance <= color_plane(street(), name)[rows, columns].var() * 1.001
+    alone = load_detector("cpf", texture={"planes": ["ng"]}).detect(street()).cues["fused_plane"]
+    assert torch.allclose(alone, color_plane(street(), "ng"))
 
 
 # --- CPFv2 --------------------------------------------------------------------------------

@@ -10,16 +10,26 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from roadtorch.base.errors import ExitCode, InputError
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detection import Detection
-from roadtorch.inputs.item import Item
+from roadtorch.inputs.item import Item, Selection
+from roadtorch.inputs.video import video_source
 from roadtorch.run.writers.video import VideoWriter
 from tests.command import GREY, ROWS, Call, bytes_in, files_in, read_index_rows
 from tests.inputs.bags import FIRST, STEP, write_drive
 from tests.run.writers.test_bags import read_bag
-from tests.videos import read_frame_times, street_pixels, write_tracks, write_video
+from tests.videos import (
+    read_frame_pixels,
+    read_frame_times,
+    street_pixels,
+    write_tracks,
+    write_video,
+)
 
 
 @pytest.fixture
@@ -50,6 +60,24 @@ def test_a_video_gives_an_overlay_and_a_row_a_frame(run: Call, drive: Path, out:
     assert {row["status"] for row in rows.values()} == {"done"}
     assert rows["drive.mp4"]["sha256"] == hashlib.sha256(drive.read_bytes()).hexdigest()
     assert rows["drive/000003"]["saved"] == rows["drive.mp4"]["saved"] == "overlay"
+
+
+def test_frames_are_what_the_library_says(call: Call, drive: Path, out: Path) -> None:
+    kinds = "likelihood,mask,mask-video,likelihood-video,overlay-frames"
+
+    call("infer", drive, *GREY, "--out", out, "--save", kinds, "--every", "5", "--start", "0.2",
+         "--no-smoothing")  # fmt: skip
+
+    kinds = ("likelihood.png", "mask.png", "overlay.jpg")
+    names = {f"drive/{number:06d}.{kind}" for number in (2, 7) for kind in kinds}
+    videos = {"drive.mask.mp4", "drive.likelihood.mp4"}
+    assert files_in(out) == names | videos | {"config.toml", "index.csv", "run.json"}
+    frame = next(f for f in video_source(drive, "d", Selection()).items() if f.number == 7)
+    detection = load_detector("grey-uniformity").detect(frame.read())
+    mask = np.asarray(Image.open(out / "drive" / "000007.mask.png"))
+    assert np.array_equal(mask > 0, detection.mask.numpy())
+    pixels = read_frame_pixels(out / "drive.mask.mp4")[1][..., 0] > 127
+    assert (pixels == detection.mask.numpy()).mean() > 0.95
 
 
 def test_neither_the_number_of_jobs_nor_the_source_changes_a_byte(
@@ -111,6 +139,14 @@ def test_a_done_bag_is_skipped_until_it_or_its_results_change(
     left = {path.name.partition(".")[0] for path in out.iterdir()}
     assert left == {"", "config", "drive", "index", "run"}
     assert len(read_index_rows(out)) == 3  # frames of earlier runs are gone
+
+
+def test_a_video_gives_a_bag_with_its_seconds(run: Call, out: Path) -> None:
+    assert run("--save", "bag", "--limit", 3).exit_code == 0
+
+    messages = [entry for entry in read_bag(out / "drive.road") if entry.topic.endswith("/mask")]
+    assert [entry.stamp for entry in messages] == pytest.approx([0, 1e8, 2e8], abs=1)
+    assert messages[-1].message.header.frame_id == "camera"
 
 
 # --- what goes wrong --------------------------------------------------------------------

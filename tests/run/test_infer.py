@@ -1,10 +1,14 @@
 """roadtorch infer on images: files, rows, run.json, odd and bad inputs, refusals."""
 
+import fcntl
 import json
 import os
+import shlex
 import struct
+import sys
 import tomllib
 import zlib
+from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -23,7 +27,7 @@ from roadtorch.detectors.detection import Detection
 from roadtorch.run.loop import Inference
 from roadtorch.run.writers.maps import cue_image
 from roadtorch.testing.scenes import render_scene, write_image
-from tests.command import GREY, ROWS, Call, files_in, read_index_rows, save_image
+from tests.command import GREY, ROWS, Call, bytes_in, files_in, read_index_rows, save_image
 from tests.videos import write_video
 
 # --- what is written ------------------------------------------------------------------------
@@ -200,6 +204,14 @@ def test_what_is_done_is_skipped_until_overwrite(run: Call, footage: Path, out: 
     assert (out / "b.mask.png").read_bytes() != b"marked"
 
 
+def test_results_beside_the_images_are_not_taken_for_images(call: Call, footage: Path) -> None:
+    for _ in range(2):
+        result = call("infer", footage, *ROWS, "--out", footage, "--save", "mask,cues")
+        assert result.exit_code == 0
+
+    assert list(read_index_rows(footage)) == ["a.jpg", "b.png", "sub/c.png"]
+
+
 # --- odd and bad input ----------------------------------------------------------------------
 
 
@@ -310,6 +322,56 @@ def test_an_index_that_a_spreadsheet_rewrote_is_read_or_refused(
     index.write_text(index.read_text().replace(old, new))
 
     assert run(*words).exit_code == code
+
+
+def write_inputs(root: Path, names: Sequence[str]) -> Path:
+    """Write images and videos to a folder."""
+    root.mkdir(exist_ok=True)
+    for seed, name in enumerate(names):
+        if name.endswith(".mp4"):
+            write_video(root / name)
+        else:
+            save_image(root / name, seed)
+    return root
+
+
+KINDS = "--save json,polygons,cues"
+
+
+@pytest.mark.parametrize(
+    ("names", "line", "message"),
+    [
+        ("drive.mp4 drive/000003.png", f"infer in {KINDS}", "drive.mp4: both would write out/dri"),
+        ("1.png run.png", f"infer in {KINDS}", "the run itself and in/run.png: both would write"),
+        ("1.png 1.coco.png", f"infer in {KINDS}", "in/1.coco.png and in/1.png: both would write"),
+        (r"1\xff.png " + os.fsdecode(b"1\xff.png"), f"infer in {KINDS}", r"in/1\xff.png and in/1"),
+        ("b.png", "infer gone/", "gone: does not exist ("),
+        ("b.png", "infer ''", "'': is an empty name (give a file or a folder)"),
+        ("b.png", "infer in --engine ray", "--engine ray: Ray is not installed (pip install 'road"),
+        ("b.png", "infer in --out s3://bucket/out", "s3:/bucket/out: is an address (give a local"),
+        ("b.png", "infer in --out locked", "locked: another run is writing here (wait for it, or "),
+        ("b.png", "label in --out in", "in/b.png: is one of the input images (give another --out)"),
+    ],
+)
+def test_refusals(
+    names: str, line: str, message: str, call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "ray", None)
+    Path("locked").mkdir()
+    handle = os.open("locked", os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    contents = bytes_in(write_inputs(Path("in"), names.split()))
+    words = ["--out", "out", *(("--detector", "prior:rows") * line.startswith("infer"))]
+
+    result = call(*shlex.split(line)[:1], *words, *shlex.split(line)[1:])
+
+    os.close(handle)
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+    assert result.stderr.startswith("roadtorch: error: ")
+    assert message in result.stderr
+    assert bytes_in(Path("in")) == contents
+    assert not {"out", "s3:"} & {path.name for path in tmp_path.iterdir()}
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from roadtorch.base.atomic import file_digest
 from roadtorch.base.errors import InputError
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.inputs.item import Item
@@ -25,6 +26,8 @@ from roadtorch.run.ledger import (
 )
 from roadtorch.run.memo import (
     cache_key,
+    file_digests,
+    find_paths,
     make_cached_reader,
     read_cached,
     write_arrays,
@@ -204,3 +207,13 @@ def test_a_key_changes_with_every_part(tmp_path: Path, monkeypatch: pytest.Monke
     assert repeated == keys[0]
     assert len(set(keys)) == len(keys)
     assert {len(key) for key in keys} == {32}
+
+
+def test_files_are_found_in_nested_settings(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("a")
+    settings = {"a": str(file), "b": {"c": [file, "none"], "d": 3, "e": ""}, "f": str(tmp_path)}
+
+    assert find_paths(settings) == [file, file, tmp_path]
+    assert file_digests(settings) == 2 * [file_digest(file)]
+    assert [path.name for path in find_paths({"w": "cnn-7"})] == ["cnn-7.safetensors"]

@@ -13,8 +13,14 @@ from train.compare import (
     mean_f,
     obstacle_mask,
     obstacles_taken,
+    world_kind,
     wrong_halves,
 )
+
+
+def test_kinds_of_worlds_keep_night_and_generation_apart() -> None:
+    names = ["39001_town_night", "39008_town_sun", "49001_town_sun"]
+    assert [world_kind(name) for name in names] == ["3 town night", "3 town", "4 town"]
 
 
 def test_an_obstacle_has_road_above_and_below_it() -> None:

@@ -139,6 +139,8 @@ def test_a_run_from_weights_ends_with_a_page_of_masks_before_and_after(tmp_path:
         "Masks of 3 images",
         'alt="Mean loss of the epochs"',
         'alt="Trust before and after',
+        "default-src 'none'",
+        "&lt;img src=x onerror=alert(1)&gt;",
     ):
         assert text in page
     # It asks for nothing, and names are text.

@@ -9,9 +9,6 @@ from typing import NamedTuple
 
 from train.worlds.tables import Row, read_table
 
-PACK, HELD_OUT = range(50000, 53000), 9000
-"""Numbers from which the pack is taken; from which of each ten thousand on none trains."""
-
 ROADLESS = ("room", "things", "wall", "field", "water", "square")
 """Kinds of places without road."""
 

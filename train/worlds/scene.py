@@ -12,7 +12,7 @@ from train.worlds.blender import bpy
 from train.worlds.truth import COLOURS
 
 WIDTH, HEIGHT = 384, 288
-"""Width and height of the images, which networks see no larger, in whose shape they see all."""
+"""Width and height of the images: no network sees larger ones, and all of them this shape."""
 
 Point = tuple[float, float, float]
 Material = Any

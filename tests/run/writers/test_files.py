@@ -40,16 +40,24 @@ def load_map(path: Path) -> tuple[np.ndarray, dict]:
     return cells[::-1], values
 
 
-def test_map_server_and_numpy_read_the_same_three_values(tmp_path: Path) -> None:
-    path = str(tmp_path / "it's: a #1")
+def test_map_server_reads_the_same_three_values(tmp_path: Path) -> None:
+    write_grid(tmp_path / "it's: a #1", GRID, "pitch 2 degrees")
 
-    write_grid(path, GRID, "pitch 2 degrees")
+    cells, values = load_map(tmp_path / "it's: a #1.grid.yaml")
 
-    (cells, values), stored = load_map(Path(f"{path}.grid.yaml")), np.load(f"{path}.grid.npy")
-    assert cells.tolist() == stored.tolist() == CELLS.tolist()
-    assert stored.dtype == np.int8
+    assert cells.tolist() == CELLS.tolist()
     assert (values["mode"], values["resolution"], values["negate"]) == ("trinary", 0.25, 0)
     assert values["origin"] == [0.5, -1, 0]
+
+
+def test_images_have_y_upwards_and_numpy_has_the_rows_from_the_right(tmp_path: Path) -> None:
+    write_grid(str(tmp_path / "a"), GRID)
+
+    image, cells = (tmp_path / "a.grid.pgm").read_bytes(), np.load(tmp_path / "a.grid.npy")
+
+    assert image == b"P5\n3 2\n255\n" + bytes([205, 205, 254, 254, 0, 205])
+    assert cells.dtype == np.int8
+    assert cells.tolist() == CELLS.tolist()
     assert len(list(tmp_path.iterdir())) == 3
 
 

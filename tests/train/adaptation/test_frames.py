@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.base.errors import InputError
+from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.image import read_image, write_rgb
 from roadtorch.testing.scenes import render_scene, write_image
 from roadtorch.train.adaptation.frames import SampledFrames, sample_frames
@@ -89,6 +89,25 @@ def test_frames_of_a_run_that_was_cut_short_are_kept_anew(
     assert len(list((tmp_path / "kept").glob("*.jpg"))) == 10
 
 
-def test_a_single_image_is_refused(images: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="has 1 frame"):
-        sample_of(images / "00.png", tmp_path)
+def test_too_few_frames_are_not_taken_as_they_are_by_the_next_run(
+    images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "roadtorch.train.adaptation.frames._frames", lambda *_: iter(())
+    )  # all vanish
+    with pytest.raises(InputError, match="has 0 frames"):
+        sample_of(images, tmp_path)
+    monkeypatch.undo()
+
+    assert sample_of(images, tmp_path).frame_count == 10
+
+
+def test_other_footage_and_single_images_are_refused(images: Path, tmp_path: Path) -> None:
+    sample_of(images, tmp_path)
+    refusals: list[tuple[Path, Path, int, type[RoadtorchError], str]] = [
+        (images, tmp_path, 50, ConfigError, "other footage"),
+        (images / "00.png", tmp_path / "one", 100, InputError, "has 1 frame"),
+    ]
+    for footage, folder, most, error, message in refusals:
+        with pytest.raises(error, match=message):
+            sample_of(footage, folder, most)
