@@ -52,7 +52,7 @@ from roadtorch.base.image import to_pixels
 from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.imaging.slic import slic
 from roadtorch.layout.runtimes import REFERENCE, RUNTIMES, ExportGraph, open_onnxruntime, trace_onnx
-from roadtorch.layout.weights import WholeImageNetwork
+from roadtorch.layout.weights import BackboneNetwork
 from roadtorch.testing.scenes import render_scene
 from scripts.readme_figures import FIGURES, flatten, keep_records
 
@@ -68,10 +68,8 @@ PEERS = {LRASPP: "LRASPP", SLIC: "slic", SKIMAGE: "slic-skimage"}
 BEFORE = ", before"
 WARM_UP = 2  # rounds that are not counted
 
-Calls = Mapping[str, Callable[[], Any]]
-"""Functions to time once a round, by name."""
-Times = dict[str, list[float]]
-"""Milliseconds by name, a number for each round."""
+Calls = Mapping[str, Callable[[], Any]]  # functions to time once a round, by name
+Times = dict[str, list[float]]  # milliseconds by name, a number for each round
 
 
 def interleaved(calls: Calls, rounds: int) -> Times:
@@ -103,7 +101,6 @@ def lraspp(image: Tensor, runtime: str = REFERENCE) -> Callable[[], Any]:
         program = trace_onnx(ExportGraph(network, network, ("out",)), image[None], "image")
         compiled = open_onnxruntime(program.model_proto.SerializeToString(), 1)
         return partial(compiled, image[None].numpy())
-
     return torch.inference_mode()(partial(network, image[None]))
 
 
@@ -163,10 +160,8 @@ def suite(words: Sequence[str]) -> str:
     reference = interleaved(calls, 20)[LRASPP]
     subprocess.run([sys.executable, "-m", "pytest", "-q", *words], cwd=ROOT, check=False)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    milliseconds = median(reference + interleaved(calls, 20)[LRASPP])
-    cpu = used.ru_utime + used.ru_stime
-    speed = f"{LRASPP}: {milliseconds:.1f} ms; {cpu / milliseconds:.2f} s per ms"
-    return f"tests: {cpu:.0f} s of CPU; {speed}"
+    cpu, ms = used.ru_utime + used.ru_stime, median(reference + interleaved(calls, 20)[LRASPP])
+    return f"tests: {cpu:.0f} s of CPU; {LRASPP}: {ms:.1f} ms; {cpu / ms:.2f} s per ms"
 
 
 # --- runtimes -----------------------------------------------------------------------------
@@ -190,7 +185,7 @@ def staged(name: str, runtime: str, data: bytes, rows: list[dict[str, float]]) -
         return run
 
     for network in detector.modules():
-        if isinstance(network, WholeImageNetwork):
+        if isinstance(network, BackboneNetwork):
             setattr(network, "encode", timed(network.encode, "network"))  # noqa: B010
     decode, refine = timed(stages.as_image, "decode"), timed(stages.refine, "outlines")
 
@@ -354,7 +349,6 @@ def rates(
 def main(words: Sequence[str] | None = None) -> None:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("detectors", nargs="*", help="or commands; by default nearly all")
-    parser.add_argument("--size", type=int, nargs=2, default=(640, 480), metavar=("W", "H"))
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--write", action="store_true", help="into docs/figures")
     parser.add_argument("--against", type=Path, help="another checkout")
@@ -365,8 +359,7 @@ def main(words: Sequence[str] | None = None) -> None:
     if options.suite is not None:
         print(suite(options.suite))
         return
-    width, height = options.size
-    image = render_scene(0, height, width).image.contiguous()
+    image = render_scene(0, 480, 640).image.contiguous()
     if options.commands:
         checkouts = [ROOT, options.against] if options.against else [ROOT]
         names = options.detectors or [name for name in COMMANDS if name != "detect"]

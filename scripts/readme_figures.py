@@ -56,6 +56,7 @@ from roadtorch.oneclass import CLASSIFIERS
 ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ROOT / "docs" / "figures"
 RUNS = tuple(sorted(path.stem for path in FIGURES.glob("*.json")))
+TIMES = ("bench", "commands", "ros", "runtimes")  # of any weights of these networks
 Records = Mapping[str, float | str]
 
 # --- records ------------------------------------------------------------------------------
@@ -85,15 +86,16 @@ def keep_records(run: str, command: str, values: Records) -> None:
     log = ["git", "log", "-1", "--format=%h", "--abbrev=7", "--", "roadtorch"]
     commit = subprocess.run(log, check=True, cwd=ROOT, capture_output=True, text=True).stdout
     values = {key: values[key] for key in sorted(used() & values.keys())}
-    weights = weights_of(" ".join((command, *values)))
+    weights = weights_of(run, " ".join((command, *values)))
     record = {"command": command, "commit": commit.strip(), "weights": weights, "values": values}
     (FIGURES / f"{run}.json").write_text(f"{json.dumps(record, indent=0)}\n", encoding="utf-8")
 
 
-def weights_of(text: str) -> dict[str, str]:
+def weights_of(run: str, text: str) -> dict[str, str]:
     """Return digests of the weights of the detectors that a text names, or else of ``fusion``."""
     names = set(list_detectors()) & set(re.split(r"[ .=]|:torch|:onnxruntime", text))
-    digests = {name: digest_weights(name) for name in sorted(names) or ["fusion"]}
+    digest = count_weights if run in TIMES else digest_weights
+    digests = {name: digest(name) for name in sorted(names) or ["fusion"]}
     return {name: digest for name, digest in digests.items() if digest}
 
 
@@ -194,6 +196,11 @@ def describe_networks(detector: str) -> dict[str, float | str]:
         "bytes": sum(path.stat().st_size for path in paths),
         "input": " ".join(sorted(sizes)) or "none",
     }
+
+
+def count_weights(detector: str) -> str:
+    """Return the number of a detector's weights; "" without any."""
+    return str(describe_networks(detector)["parameters"] or "")
 
 
 STATED = {

@@ -27,7 +27,7 @@ def test_no_record_is_kept_that_no_document_uses() -> None:
 
 def pages_untold(run: str, record: Mapping[str, Any]) -> list[str]:
     """List the pages with records of other weights than today's that do not name their commit."""
-    if record["weights"] == weights_of(" ".join((record["command"], *record["values"]))):
+    if record["weights"] == weights_of(run, " ".join((record["command"], *record["values"]))):
         return []
     pages = {path.name: path.read_text("utf-8") for path in readme_figures.documents()}
     uses = {name for name, page in pages.items() if re.search(rf"[ \[?]{run}\.", page)}
