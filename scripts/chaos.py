@@ -196,7 +196,7 @@ def content_of(path: Path) -> str | bytes:
 
 TRAINING = """
 kind = "images"
-network = { height = 32, width = 40, narrow = 8, wide = 8 }
+network = { height = 32, width = 64, narrow = 8, wide = 8, heads = 1, backbone = "none" }
 teacher = { detector = "labeller", working = { pixels = 4800 } }
 recordings = { separator = "_", min_frames = 2 }
 descent = { batch = 2, method = "adam", learning_rate = 0.01, ema = 0.7 }
@@ -213,7 +213,7 @@ COMMANDS = {
     "train": "train --config ../work/training.toml --images ../work/images_flat --threads 1 "
     "--corrections ../work/corrections --out out",
     "adapt": "adapt ../work/images --set network.height=32 --set network.width=64 --set "
-    "teacher.detector=labeller --set teacher.views=one --set stopping.epochs=1 --set "
+    "teacher.detector=labeller --set stopping.epochs=1 --set "
     "samples_per_epoch=4 --set descent.batch=2 --threads 1 --out out",
     "import": "annotate ../work/images_flat --import png --from ../work --out out",
     "corrections": "annotate ../work/images_flat --export coco --to out --out ../work/corrections",

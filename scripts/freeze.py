@@ -75,7 +75,6 @@ OUTPUTS = {
     "evaluate/labelled": "evaluate camvid ../data/camvid --limit 6 --detector fusion --against cpf",
     "adapt/clip": f"adapt clip.mp4 --limit 40 {EPOCH} --set samples_per_epoch=16",
     "train/cnn7": f"train --config cnn7 --images footage {EPOCH} --set passes=1",
-    "train/layout": f"train --config layout-free --images footage {EPOCH}",
     "commands/version": "--version",
     "commands/help": "--help",
     "commands/infer-help": "infer --help",

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import torch
 
+from roadtorch.layout.backbone_network import BackboneNetworkSettings
 from roadtorch.layout.image_network import EGO_OUTPUT, ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, save_network
 
@@ -13,6 +14,9 @@ CRISP = 40.0
 
 
 SMALL = ImageNetworkSettings(height=48, width=64, narrow=8, wide=8)
+SMALL_BACKBONE = BackboneNetworkSettings(
+    height=32, width=64, narrow=8, wide=8, heads=1, backbone="none"
+)
 
 
 def write_random_network(

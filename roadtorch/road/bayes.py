@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from roadtorch.imaging.levels import otsu_threshold
 from roadtorch.imaging.segments import Bandwidths, Segments, class_log_density, segment_affinity
 
 LIKELIHOOD_EPS = 1e-4
@@ -120,18 +119,6 @@ def neighbour_mean(segments: Segments) -> Tensor:
     touching[first, second] = 1
     touching[second, first] = 1
     return touching / touching.sum(1, keepdim=True).clamp_min(1)
-
-
-def centred_odds(odds: Tensor, centre: float, weight: float) -> Tensor:
-    """Shift the log odds (…) of an image so that road and background separate at 0. Ours.
-
-    Subtracts the mean of ``centre``, the same for all images, and of Otsu's threshold of the image,
-    which has the ``weight``. Otsu's follows the best threshold of a camera without labels, but
-    alone it is too low for a narrow road.
-    """
-    if not weight:
-        return odds - centre
-    return odds - torch.lerp(odds.new_tensor(centre), otsu_threshold(odds), weight)
 
 
 # --- location priors ------------------------------------------------------------------

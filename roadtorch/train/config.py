@@ -1,17 +1,17 @@
 """Settings of a training run: one TOML file for one kind of network."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, create_model
+from pydantic import Field
 
 from roadtorch.base.errors import ConfigError, unknown_name_error
 from roadtorch.base.settings import Settings, build_settings
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.backbone_network import BackboneNetworkSettings
-from roadtorch.layout.image_network import ImageNetworkSettings, UpperRows
+from roadtorch.layout.image_network import UpperRows
 from roadtorch.layout.labeller import LabellerSettings
 from roadtorch.layout.patch_network import PatchNetworkSettings
 from roadtorch.layout.pretrained import IMAGENET
@@ -45,10 +45,6 @@ class Descent(Settings):
         lt=1,
         description="decay of the exponential moving average of the weights that is written; "
         "0 writes the last weights",
-    )
-    precision: Literal["float32", "bfloat16"] = Field(
-        default="float32",
-        description="number format of convolutions; bfloat16 is faster on CPUs that have it",
     )
 
     def learning_rate_at(self, progress: float) -> float:
@@ -116,6 +112,9 @@ class CorrectionWeight(Settings):
         description="fraction of the corrected images that does not train a whole-image network, "
         "but decides when to stop: whole recordings where they fit",
     )
+    separator: str = Field(
+        default="_", description="text before the frame number in names; empty for no recordings"
+    )
 
 
 class CommonTraining(Settings):
@@ -124,7 +123,7 @@ class CommonTraining(Settings):
     random_seed: int = Field(default=0, ge=0, le=2**31, description="seed of all random numbers")
     initial_weights: str = Field(
         default="",
-        description="weight file to start from, or the name of a shipped one such as layout-free; "
+        description="weight file to start from, or the name of a shipped one such as cnn-7; "
         "imagenet for a backbone with ImageNet's weights; empty for new weights",
     )
 
@@ -160,9 +159,6 @@ class Teacher(Settings):
     weights: str = Field(
         default="", description="weights of the teacher's network; empty for the shipped ones"
     )
-    views: Literal["one", "mirrored"] = Field(
-        default="one", description="the image alone, or averaged with its mirror (mirrored)"
-    )
     working: WorkingSize = WorkingSize()
     combine: Literal["agreement", "teacher"] = Field(
         default="agreement",
@@ -175,34 +171,12 @@ class Teacher(Settings):
         lt=1,
         description="least lead of the best class for a pixel's layout to count",
     )
-    otsu_weight: Fraction = Field(
-        default=0.0,
-        description="weight of each image's Otsu threshold against ``road_threshold``, in log odds",
-    )
     road_threshold: float = Field(
         default=0.39, gt=0, lt=1, description="teacher's likelihood that becomes 0.5 in the target"
     )
     targets: Literal["hard", "soft"] = Field(
         default="hard",
         description="soft: layout potentials, road likelihood; hard: best class, road 0 or 1",
-    )
-
-
-class Recordings(Settings):
-    """Grouping of images by camera, from which the ego car is found.
-
-    A recording is all images whose names agree up to the last ``separator`` and whose aspect ratios
-    are alike.
-    """
-
-    separator: str = Field(
-        default="", description="text before the frame number in names; empty for no recordings"
-    )
-    min_frames: int = Field(
-        default=8, ge=2, le=10**4, description="frames needed to find a static ego car"
-    )
-    balance: Fraction = Field(
-        default=0.0, description="a recording of n images has the sampling weight n^(1 - balance)"
     )
 
 
@@ -348,9 +322,8 @@ class ImageTraining(CommonTraining):
 
     name: ClassVar[str] = "images"
     corrections: CorrectionWeight = CorrectionWeight()
-    network: ImageNetworkSettings | BackboneNetworkSettings = ImageNetworkSettings()
+    network: BackboneNetworkSettings = BackboneNetworkSettings(heads=1, backbone="none")
     teacher: Teacher = Teacher()
-    recordings: Recordings = Recordings()
     augmentation: Augmentation = Augmentation()
     heads: HeadWeights = HeadWeights()
     samples_per_epoch: int = Field(
@@ -376,45 +349,27 @@ def build_training(values: dict[str, Any]) -> Training:
     kind = str(nested.pop("kind", PatchTraining.name))  # str, as a list could not be looked up
     if kind not in TRAINING_KINDS:
         raise unknown_name_error("kind of training", kind, TRAINING_KINDS)
-    try:
-        settings = build_settings(TRAINING_KINDS[kind], nested)
-    except ConfigError:
-        if kind == ImageTraining.name and isinstance(network := nested.get("network"), Mapping):
-            # Of a union pydantic reports the errors of both types; only a backbone's has heads.
-            chosen = BackboneNetworkSettings if "heads" in network else ImageNetworkSettings
-            isolated = create_model("ImageTraining", __base__=Settings, network=(chosen, chosen()))
-            build_settings(isolated, {"network": network})
-        raise
+    settings = build_settings(TRAINING_KINDS[kind], nested)
     if isinstance(settings, SelfTraining):
-        check_self_training(settings)
+        check_initial_weights(settings)
+        if settings.rounds[0].target and settings.initial_weights in ("", IMAGENET):
+            message = "is not 0, but no network has learned yet that could label them"
+            raise ConfigError("rounds.0.target", message, "learn from source images first")
     elif isinstance(settings, ImageTraining):
-        check_image_training(settings)
+        check_initial_weights(settings)
+        if probability := settings.augmentation.ego_car:
+            message = f"is {probability:g}, but only rendered worlds show where an ego car is"
+            raise ConfigError("augmentation.ego_car", message, "leave it out")
     return settings
 
 
-def check_image_training(settings: ImageTraining) -> None:
-    """Raise ConfigError where a backbone has no initial weights, or ego cars no recordings."""
-    if isinstance(settings.network, BackboneNetworkSettings) and not settings.initial_weights:
-        message = "is empty, but a backbone needs initial weights"
-        hint = "give weights of such a network, such as backbone-free"
-        raise ConfigError("initial_weights", message, hint)
-    if (probability := settings.augmentation.ego_car) and not settings.recordings.separator:
-        message = f"is {probability:g}, but ego cars are only found in recordings"
-        hint = 'set recordings.separator, such as "_"'
-        raise ConfigError("augmentation.ego_car", message, hint)
-
-
-def check_self_training(settings: SelfTraining) -> None:
-    """Raise ConfigError where the settings of a self-training contradict each other."""
-    is_pretrained, backbone = settings.initial_weights == IMAGENET, settings.network.backbone
-    is_fresh = settings.initial_weights in ("", IMAGENET)
-    if is_fresh and is_pretrained == (backbone == "none"):
-        message = f"is {settings.initial_weights or 'empty'}, but network.backbone is {backbone}"
+def check_initial_weights(settings: ImageTraining | SelfTraining) -> None:
+    """Raise ConfigError where a new network's backbone and its initial weights disagree."""
+    initial, backbone = settings.initial_weights, settings.network.backbone
+    if initial in ("", IMAGENET) and (initial == IMAGENET) == (backbone == "none"):
+        message = f"is {initial or 'empty'}, but network.backbone is {backbone}"
         hint = 'give imagenet with lite0 or lite2, and "" with none'
         raise ConfigError("initial_weights", message, hint)
-    if is_fresh and settings.rounds[0].target:
-        message = "is not 0, but no network has learned yet that could label them"
-        raise ConfigError("rounds.0.target", message, "learn from source images first")
 
 
 def as_values(settings: Training) -> dict[str, object]:

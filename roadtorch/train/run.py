@@ -21,8 +21,8 @@ from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
 from roadtorch.layout.pretrained import IMAGENET
 from roadtorch.layout.weights import (
+    BackboneNetwork,
     LayoutNetwork,
-    WholeImageNetwork,
     build_network,
     load_network,
     resize_network,
@@ -143,7 +143,7 @@ def load_initial_network(training: Training) -> LayoutNetwork | None:
     if training.initial_weights in ("", IMAGENET):
         return None
     network = load_network(weights_path(training.initial_weights))
-    if isinstance(network, WholeImageNetwork) and not isinstance(training, PatchTraining):
+    if isinstance(network, BackboneNetwork) and not isinstance(training, PatchTraining):
         network = resize_network(network, training.network.height, training.network.width)
     if network.settings != training.network:
         message = "holds a network with other settings than this training"
@@ -201,7 +201,7 @@ class TrainingRun:
         held_out: list[str] = []
         if isinstance(self.training, ImageTraining):
             names = [item.name for item in prepared if item.file and item.name in self.corrections]
-            separator = self.training.recordings.separator
+            separator = self.training.corrections.separator
             held_out = select_held_out(names, self.training.corrections.held_out, separator)
         if stop.requested or not self._train(prepared, state, inherited, held_out):
             return Outcome(None, stop.signal or SIGTERM, skipped)

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from hashlib import sha256
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +29,7 @@ from roadtorch.inputs.item import Item, evenly_spaced
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import NUM_CLASSES, VERTICAL
 from roadtorch.layout.image_network import compute_cues, count_upper_rows, resize_rows
-from roadtorch.layout.pretrained import (
-    IMAGENET,
-    load_imagenet_weights,
-    measure_norms,
-    scale_layers,
-    wheel_package,
-)
+from roadtorch.layout.pretrained import IMAGENET, wheel_package
 from roadtorch.layout.weights import resize_network, save_network, weights_path
 from roadtorch.road.bayes import log_odds
 from roadtorch.run.memo import Arrays, cache_key, read_arrays
@@ -50,12 +43,12 @@ from roadtorch.train.training_loop import (
     Batch,
     Recipe,
     TrainingInputs,
-    seed_torch,
 )
 from roadtorch.train.whole_images import (
     AugmentedImages,
     balanced_weights,
     group_ego_cars,
+    initialise_network,
     name_recordings,
     reweight,
     target_loss,
@@ -72,9 +65,6 @@ CROPS = (0.3,)
 
 MIN_EGO = 0.7
 """Mean of detected ego car and its potential from which a target's pixel is ego car."""
-
-LEVEL_BATCHES = 30
-"""Batches over which the statistics of a new head's features are measured."""
 
 SHEET_TILES, TILE_SIZE = (4, 4), (240, 320)
 """Rows and columns of a sheet of target images with their road, and the size of each."""
@@ -240,20 +230,8 @@ class SelfTrainingRecipe(Recipe):
     # --- network ----------------------------------------------------------------------------
 
     def initialise(self, network: nn.Module, samples: DomainSamples) -> None:
-        """Load ImageNet's weights, or scale random ones, and measure the levels of features."""
-        training = self._training
-        assert isinstance(network, BackboneNetwork)
-        if training.initial_weights not in ("", IMAGENET):
-            return
-        network.to(samples.device)
-        count = min(LEVEL_BATCHES, samples.chunks)
-        images = (batch.inputs for chunk in range(count) for batch in samples.batches(0, chunk))
-        with seed_torch(training.random_seed, 1):
-            if training.initial_weights:
-                load_imagenet_weights(network.backbone, training.network.backbone)
-            else:
-                scale_layers(network.backbone, next(islice(images, 1)))
-        measure_norms(network, images)
+        """Give a new network its initial weights."""
+        initialise_network(network, samples, self._training)
 
     # --- rounds -----------------------------------------------------------------------------
 

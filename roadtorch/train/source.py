@@ -17,11 +17,14 @@ from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, SKY, VERTICAL
 from roadtorch.run.memo import Arrays
 from roadtorch.train.prepared import to_uint8
-from roadtorch.train.targets import EGO_KNOWN, Targets
+from roadtorch.train.targets import Targets
 
 ROAD_CODE, EGO_CODE, NOT_ROAD_CODE = range(NUM_CLASSES, NUM_CLASSES + 3)
 VOID_CODE = 255
 """Codes of truth after the layout's: road, ego car, not road of unknown layout, unknown."""
+
+EGO_KNOWN = 0.25
+"""Least distance of an ego value from 0.5, unknown, to count: values are interpolated by warps."""
 
 THIN = 1 / 3
 """Fraction of a pixel from which a standing object is its truth: posts, legs and tyres are thin."""

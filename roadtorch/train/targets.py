@@ -7,11 +7,8 @@ import torch
 from torch import Tensor
 
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, SKY
-from roadtorch.road.bayes import centred_odds, log_odds
+from roadtorch.road.bayes import log_odds
 from roadtorch.train.config import Teacher
-
-EGO_KNOWN = 0.25
-"""Least distance of an ego value from 0.5, unknown, to count: values are interpolated by warps."""
 
 EGO_CERTAIN = 0.8
 """Probability from which a network's ego car counts, so that errors do not grow from run to run."""
@@ -50,35 +47,30 @@ def split_targets(planes: Tensor) -> Targets:
     return Targets(*planes.split(TARGET_PLANES, 1))
 
 
-def make_targets(
-    teacher: Tensor, ego: Tensor, network: Tensor | None, settings: Teacher
-) -> Targets:
+def make_targets(teacher: Tensor, network: Tensor | None, settings: Teacher) -> Targets:
     """Compute targets from the maps (B, 4, H, W) of the teacher and (B, 5, H, W) of a network.
 
-    ego: ego car in the footage, (B, 1, H, W): 1 ego, 0 not, 0.5 unknown; there it is 1 where the
-    network is certain of one, else 0. Road likelihoods are shifted so that their threshold becomes
-    0.5. Weights are 0 or 1: 1 where the best class leads by ``margin`` and, with ``combine =
-    "agreement"``, teacher and network agree. On the ego car road is 0 with weight 1, and the layout
-    has weight 0.
+    Road likelihoods are shifted so that their threshold becomes 0.5. Weights are 0 or 1: 1 where
+    the best class leads by ``margin`` and, with ``combine = "agreement"``, teacher and network
+    agree. There is an ego car where the network is certain of one; there road is 0 with weight 1,
+    and the layout has weight 0.
     """
     layout, road = teacher[:, :NUM_CLASSES], centre_likelihood(teacher[:, NUM_CLASSES:], settings)
-    agree, agree_road, guess = torch.ones_like(road), torch.ones_like(road), torch.zeros_like(ego)
+    agree, agree_road, ego = torch.ones_like(road), torch.ones_like(road), torch.zeros_like(road)
     if network is not None:
         network_layout, network_road, network_ego = network.split((NUM_CLASSES, 1, 1), 1)
-        guess = (network_ego >= EGO_CERTAIN).to(ego)
+        ego = (network_ego >= EGO_CERTAIN).to(road)
         if settings.combine == "agreement":
             agree = (best_class(layout) == best_class(network_layout)).to(road)
             agree_road = ((road >= 0.5) == (network_road >= 0.5)).to(road)
         weight = 1.0 if settings.combine == "teacher" else 0.5
         layout = torch.lerp(network_layout, layout, weight)
         road = torch.lerp(network_road, road, weight)
-    ego = torch.where((ego - 0.5).abs() < EGO_KNOWN, guess, ego)
     best = layout.topk(2, dim=1).values
     sure = (best[:, :1] - best[:, 1:] >= settings.margin).to(road)
-    sure_ego = ((2 * ego - 1).abs() >= EGO_KNOWN).to(road)
-    street = (ego < 0.5 + EGO_KNOWN).to(road)
-    known_road = torch.maximum(agree_road, 1 - street)
-    return Targets(layout, sure * agree * street, road * street, known_road, ego, sure_ego)
+    street, known_road = 1 - ego, torch.maximum(agree_road, ego)
+    known_layout = sure * agree * street
+    return Targets(layout, known_layout, road * street, known_road, ego, torch.ones_like(ego))
 
 
 def best_class(layout: Tensor) -> Tensor:
@@ -92,5 +84,4 @@ def best_class(layout: Tensor) -> Tensor:
 def centre_likelihood(likelihood: Tensor, settings: Teacher) -> Tensor:
     """Shift likelihoods (B, 1, H, W) so that the threshold of road becomes 0.5."""
     centre = math.log(settings.road_threshold / (1 - settings.road_threshold))
-    centred = [centred_odds(odds, centre, settings.otsu_weight) for odds in log_odds(likelihood)]
-    return torch.stack(centred).sigmoid()
+    return (log_odds(likelihood) - centre).sigmoid()

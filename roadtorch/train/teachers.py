@@ -23,8 +23,7 @@ from roadtorch.layout.image_network import (
     scores_to_potentials,
 )
 from roadtorch.layout.patch_network import normalise
-from roadtorch.layout.weights import WholeImageNetwork, hash_tensors
-from roadtorch.road.ego import extrapolate_over_ego
+from roadtorch.layout.weights import BackboneNetwork, hash_tensors
 from roadtorch.run.loop import Inference
 from roadtorch.run.memo import Arrays, cache_key, read_arrays, read_cached, write_cached
 from roadtorch.train.config import ImageTraining, Teacher
@@ -37,20 +36,13 @@ MIN_EGO_WIDTH, MIN_EGO_AREA = 0.95, 0.03
 """Fractions of the columns and of the image that an ego car has to cover to be cut out."""
 
 
-def prepare_image(
-    image: Tensor, ego: Tensor | None, teacher: Detector, training: ImageTraining
-) -> Arrays:
-    """Return an image (3, H, W) at the network's size, with the teacher's maps and the ego car.
+def prepare_image(image: Tensor, teacher: Detector, training: ImageTraining) -> Arrays:
+    """Return an image (3, H, W) at the network's size, with the teacher's maps, uint8 up to 255.
 
-    ego: bool (H, W), ego car found in the footage, over which the ground is extrapolated before the
-    teacher sees it; None if unknown, then 0.5. All are uint8 up to 255. Raises ConfigError for a
-    teacher without a layout.
+    Raises ConfigError for a teacher without a layout.
     """
     network, size = training.network, (training.network.height, training.network.width)
-    street = image if ego is None else extrapolate_over_ego(image, ego)
-    maps = teacher_maps(street, teacher, training.teacher.views)
-    car = torch.full(size, 0.5) if ego is None else ego.float()
-    parts = {"image": image, "maps": maps, "ego": car}
+    parts = {"image": image, "maps": teacher_maps(image, teacher)}
     small = {name: resize_as_prepared(part, network, size) for name, part in parts.items()}
     return {name: to_uint8(part.clamp(0, 1)) for name, part in small.items()}
 
@@ -77,24 +69,20 @@ def load_teacher(teacher: Teacher) -> Detector:
     return load_detector(teacher.detector, **settings)
 
 
-def teacher_maps(image: Tensor, teacher: Detector, views: str = "one") -> Tensor:
+def teacher_maps(image: Tensor, teacher: Detector) -> Tensor:
     """Compute layout and road (4, H, W) in [0, 1] of an image (3, H, W).
 
-    views: as in ``Teacher``. Raises ConfigError for a teacher without a layout.
+    Raises ConfigError for a teacher without a layout.
     """
-    maps = []
-    for mirrored in (False,) if views == "one" else (False, True):
-        detection = Inference(teacher)(image.flip(-1) if mirrored else image)
-        if "layout" not in detection.cues:
-            message = f"{teacher.name} has no layout among its cues"
-            raise ConfigError("teacher.detector", message, "use fusion or labeller")
-        planes = torch.cat([detection.cues["layout"], detection.likelihood[None]])
-        maps.append(planes.flip(-1) if mirrored else planes)
-    return torch.stack(maps).mean(0)
+    detection = Inference(teacher)(image)
+    if "layout" not in detection.cues:
+        message = f"{teacher.name} has no layout among its cues"
+        raise ConfigError("teacher.detector", message, "use fusion or labeller")
+    return torch.cat([detection.cues["layout"], detection.likelihood[None]])
 
 
 def label_with_network(
-    files: Sequence[Path], folder: Path, network: WholeImageNetwork, stop: StopRequest, quiet: bool
+    files: Sequence[Path], folder: Path, network: BackboneNetwork, stop: StopRequest, quiet: bool
 ) -> dict[Path, Path]:
     """Write a network's maps of prepared images, averaged over mirroring; return their files.
 
@@ -112,7 +100,7 @@ def label_with_network(
 
 
 @torch.no_grad()
-def network_maps(network: WholeImageNetwork, image: Tensor) -> Tensor:
+def network_maps(network: BackboneNetwork, image: Tensor) -> Tensor:
     """Compute potentials (5, h, w) in [0, 1] of an image (3, h, w), averaged over mirroring."""
     pixels = normalise(image, network.settings.normalisation).pixels
     device = next(network.parameters()).device

@@ -275,9 +275,7 @@ class Loop:
         """Take one step down the mean loss of a batch; return the loss summed over the batch."""
         self._optimiser.zero_grad(set_to_none=False)
         batch = Batch(*(part.to(self.device) for part in batch))
-        device_type, is_coarse = batch.inputs.device.type, self.descent.precision == "bfloat16"
-        with torch.autocast(device_type, torch.bfloat16, is_coarse):
-            loss = self.recipe.loss(self.network, batch)
+        loss = self.recipe.loss(self.network, batch)
         (loss / len(batch.inputs)).backward()
         self._optimiser.step()
         return float(loss.detach())

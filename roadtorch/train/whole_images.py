@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +25,19 @@ from roadtorch.layout.image_network import (
     ROAD_OUTPUT,
 )
 from roadtorch.layout.patch_network import normalise
-from roadtorch.layout.weights import WholeImageNetwork
+from roadtorch.layout.pretrained import (
+    IMAGENET,
+    load_imagenet_weights,
+    measure_norms,
+    scale_layers,
+)
+from roadtorch.layout.weights import BackboneNetwork
 from roadtorch.run.memo import Arrays, cache_key, file_digests, make_cached_reader, read_arrays
 from roadtorch.train.augmentation import InputResize, augment_batch
-from roadtorch.train.config import HeadWeights, ImageTraining
+from roadtorch.train.config import HeadWeights, ImageTraining, SelfTraining
 from roadtorch.train.corrections import scale_learning_rate
 from roadtorch.train.prepared import from_uint8, to_uint8
-from roadtorch.train.recordings import find_ego_cars, read_ego, recording_name
+from roadtorch.train.recordings import recording_name
 from roadtorch.train.targets import Targets, best_class, make_targets, split_targets
 from roadtorch.train.teachers import (
     label_with_network,
@@ -47,11 +54,8 @@ from roadtorch.train.training_loop import (
     Recipe,
     TrainingInputs,
     make_generator,
+    seed_torch,
 )
-
-EGO_CARS = "ego-cars"
-"""Folder, beside the prepared images, of the ego cars found in recordings."""
-
 
 # --- samples ----------------------------------------------------------------------------
 
@@ -137,11 +141,11 @@ class ImageSamples(AugmentedImages):
         """Return prepared images (n, 3, H, W) in [0, 1] and their stacked ``Targets``."""
         training, files = self.training, [self.files[member] for member in members]
         arrays = [self.read(self.corrected.get(file, file)) for file in files]
-        images, maps, ego = (stack_bytes(arrays, name) for name in ("image", "maps", "ego"))
+        images, maps = (stack_bytes(arrays, name) for name in ("image", "maps"))
         network = None
         if self.labels:
             network = stack_bytes([self.read(self.labels[file], "maps") for file in files], "maps")
-        targets = make_targets(maps, ego[:, None], network, training.teacher)
+        targets = make_targets(maps, network, training.teacher)
         if self.corrected:
             size = CORRECTION_PLANES, *spatial_size(images)
             none = {"planes": torch.zeros(size, dtype=torch.uint8, device=self.device)}
@@ -195,6 +199,33 @@ def sample_members(weights: Tensor, count: int, rng: torch.Generator) -> Tensor:
     return chosen[torch.randperm(count, generator=rng)]
 
 
+# --- initial weights ----------------------------------------------------------------------
+
+LEVEL_BATCHES = 30
+"""Batches over which the statistics of a new head's features are measured."""
+
+
+def initialise_network(
+    network: nn.Module, samples: AugmentedImages, training: ImageTraining | SelfTraining
+) -> None:
+    """Load ImageNet's weights, or scale random ones, and measure the levels of features.
+
+    A network with other initial weights stays as it is.
+    """
+    assert isinstance(network, BackboneNetwork)
+    if training.initial_weights not in ("", IMAGENET):
+        return
+    network.to(samples.device)
+    count = min(LEVEL_BATCHES, samples.chunks)
+    images = (batch.inputs for chunk in range(count) for batch in samples.batches(0, chunk))
+    with seed_torch(training.random_seed, 1):
+        if training.initial_weights:
+            load_imagenet_weights(network.backbone, training.network.backbone)
+        else:
+            scale_layers(network.backbone, next(islice(images, 1)))
+    measure_norms(network, images)
+
+
 # --- corrections ------------------------------------------------------------------------
 
 
@@ -244,7 +275,7 @@ def reweight(weights: Tensor, chosen: Tensor, fraction: float) -> Tensor:
 # --- held-out images --------------------------------------------------------------------
 
 
-def held_out_f(network: WholeImageNetwork, files: Sequence[Path]) -> float:
+def held_out_f(network: BackboneNetwork, files: Sequence[Path]) -> float:
     """Compute F of a network's road at its own size on prepared images with corrections.
 
     0 where nobody labelled road. Raises InputError for a damaged file.
@@ -302,7 +333,7 @@ def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tenso
 # --- recipe -----------------------------------------------------------------------------
 
 
-TEACHER_KEYS = {"detector", "weights", "views", "working"}
+TEACHER_KEYS = {"detector", "weights", "working"}
 """Settings of a teacher on which its maps depend."""
 
 
@@ -314,28 +345,19 @@ class ImageRecipe(Recipe):
         self._training = training
         self.loss = partial(image_loss, training=training)
         self._teacher = load_teacher(training.teacher)
-        self._recordings: Mapping[str, Path] = {}
-        self._prepared = Path()
         self.preparation = {  # size, and what the teacher's maps depend on
             **(teacher := training.teacher.model_dump(include=TEACHER_KEYS)),
             "files": file_digests(teacher),
             "size": [training.network.height, training.network.width, training.network.upper_rows],
-            "recordings": training.recordings.model_dump(include={"separator", "min_frames"}),
         }
 
     def key(self, image: Item) -> str:
-        """Return the cache key of a prepared image; call ``survey`` first."""
-        return cache_key(self.preparation, image.path, self._recordings.get(image.name))
-
-    def survey(self, images: Sequence[Item], folder: Path, stop: StopRequest, quiet: bool) -> None:
-        """Find the ego cars of the recordings, cached in ``folder``."""
-        self._prepared, settings = folder, self._training.recordings
-        self._recordings = find_ego_cars(images, folder / EGO_CARS, settings, stop, quiet)
+        """Return the cache key of a prepared image."""
+        return cache_key(self.preparation, image.path)
 
     def prepare(self, image: Tensor, name: str) -> Arrays:
-        """Prepare an image at the network's size, with the teacher's maps and the ego car."""
-        ego = read_ego(self._recordings.get(name), image)
-        return prepare_image(image, ego, self._teacher, self._training)
+        """Prepare an image at the network's size, with the teacher's maps."""
+        return prepare_image(image, self._teacher, self._training)
 
     def correct(self, prepared: Arrays, correction: HumanLabels) -> Arrays:
         """Return a prepared image with a correction: ``planes``, uint8 (6, h, w).
@@ -351,16 +373,17 @@ class ImageRecipe(Recipe):
         small = resize_as_prepared(stacked, network, size, F.adaptive_avg_pool2d)
         return {**prepared, "planes": to_uint8(small)}
 
+    def initialise(self, network: nn.Module, samples: ImageSamples) -> None:
+        """Give a new network its initial weights."""
+        initialise_network(network, samples, self._training)
+
     def make_samples(self, inputs: TrainingInputs, stop: StopRequest, quiet: bool) -> ImageSamples:
         """Return augmented images with their targets, and the labels of an initial network."""
         training, files, labels = self._training, inputs.files, dict[Path, Path]()
-        if isinstance(inputs.initial, WholeImageNetwork):
+        if isinstance(inputs.initial, BackboneNetwork):
             network = inputs.initial.eval()
             labels = label_with_network(files, inputs.labels, network, stop, quiet)
-        names = name_recordings(files, self._prepared, training.recordings.separator)
-        cars = group_ego_cars(files, names)
-        weights = torch.tensor(balanced_weights(names, training.recordings.balance))
         corrected = torch.tensor([file in inputs.corrected for file in files])
-        weights = reweight(weights, corrected, training.corrections.fraction)
-        common = (training, files, weights, cars, 0, inputs.device)
+        weights = reweight(torch.ones(len(files)), corrected, training.corrections.fraction)
+        common = (training, files, weights, {}, 0, inputs.device)
         return ImageSamples(*common, labels=labels, corrected=inputs.corrected)

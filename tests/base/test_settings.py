@@ -129,7 +129,7 @@ def test_every_config_of_the_repository_has_a_name_that_leads_to_it() -> None:
 
     assert CONFIGS.resolve() == Path(__file__).resolve().parents[2] / "configs"
     assert files == set(CONFIGS.resolve().rglob("*.toml"))
-    assert {"adapt", "layout-free", "thresholds/labeller"} <= {*list_shipped_configs()}
+    assert {"adapt", "fusion", "thresholds/labeller"} <= {*list_shipped_configs()}
 
 
 @pytest.mark.parametrize("is_folder", [False, True])

@@ -19,7 +19,7 @@ from roadtorch.train.config import ImageTraining, build_training
 from roadtorch.train.run import TrainingRun
 
 SETTINGS = (
-    *("samples_per_epoch=16", "stopping.epochs=1", "teacher.views=one"),
+    *("samples_per_epoch=16", "stopping.epochs=1"),
     *("teacher.detector=labeller", "network.height=64", "network.width=96"),
 )
 SHORT = (*(word for setting in SETTINGS for word in ("--set", setting)), "--threads", "1")

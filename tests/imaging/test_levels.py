@@ -1,42 +1,14 @@
-"""Order statistics and Otsu's threshold; dark images made bright enough."""
+"""Order statistics; dark images made bright enough."""
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from roadtorch.imaging.color import MIN_GAMMA, Exposure, brighten
-from roadtorch.imaging.levels import OTSU_BINS, order_statistic, otsu_threshold
-from roadtorch.road.bayes import centred_odds
+from roadtorch.imaging.levels import order_statistic
 from roadtorch.road.seed_area import lower_quartile
 from tests.draws import random
-from tests.reference import otsu as reference
-
-
-@given(st.lists(st.integers(-3 * OTSU_BINS, 5 * OTSU_BINS), min_size=2, max_size=40))
-def test_no_other_cut_parts_the_values_better(integers: list[int]) -> None:
-    values = torch.tensor([*integers, -400, 700]) / 100
-
-    found = float(otsu_threshold(values))
-
-    seen = reference.binned(values.double().numpy(), OTSU_BINS)
-    best = reference.most_between(seen)
-    assert reference.between_classes(seen, found) == pytest.approx(best, rel=1e-4)
-
-
-@pytest.mark.parametrize("value", [-3.0, 0.0, 1e-30, 7.5])
-def test_of_equal_values_it_is_their_value(value: float) -> None:
-    found = otsu_threshold(torch.full((3, 4), value))
-
-    assert found.shape == ()
-    assert found == value
-
-
-@pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf])
-def test_of_values_that_are_not_finite_no_road_is_made(odd: float) -> None:
-    assert not centred_odds(torch.tensor([0.0, 1.0, odd]), 0.0, 0.25).sum().isfinite()
-
 
 levels = st.lists(st.floats(-1e6, 1e6, width=32), min_size=1, max_size=60)
 

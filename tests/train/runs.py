@@ -5,14 +5,11 @@ import os
 import signal
 import tomllib
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import torch
-from torch import Tensor
 
 from roadtorch.base.settings import merge, parse_assignments
 from roadtorch.testing.scenes import write_image
@@ -48,20 +45,15 @@ kind = "images"
 
 [network]
 height = 32
-width = 40
+width = 64
 narrow = 8
 wide = 8
+heads = 1
+backbone = "none"
 
 [teacher]
 detector = "labeller"
 working = { pixels = 4800 }
-
-[recordings]
-separator = "_"
-min_frames = 5
-
-[augmentation]
-ego_car = 0.5
 
 [descent]
 batch = 2
@@ -127,23 +119,6 @@ def write_worlds(folder: Path, names: Sequence[str], ego_rows: int = 0) -> Path:
         codes[street.void] = VOID_CODE
         codes[60 - ego_rows :] = EGO_CODE
         cv2.imwrite(str(folder / "truth" / f"{name}.png"), codes)
-    return folder
-
-
-def bonnet(height: int, width: int) -> Tensor:
-    """Return the ego car bool (H, W) of ``write_bonnets``: round, a fifth of the height."""
-    row = (torch.arange(height) + 0.5)[:, None] / height
-    column = (torch.arange(width) + 0.5) / width * 2 - 1
-    return row > 0.8 + 0.08 * column.square()
-
-
-def write_bonnets(folder: Path, count: int) -> Path:
-    """Write footage of one camera: rendered streets with the same dark bonnet below them."""
-    paint = torch.tensor([0.25, 0.08, 0.08])[:, None, None]
-    for seed in range(count):
-        street = scene(seed, 60, 80, horizon=0.45)
-        image = torch.where(bonnet(60, 80), paint, street.image)
-        write_image(folder / f"bonnet_{seed}.png", replace(street, image=image))
     return folder
 
 

@@ -14,13 +14,14 @@ from roadtorch.run.memo import write_arrays
 from roadtorch.train import effects
 from roadtorch.train.augmentation import (
     EgoCar,
+    augment_batch,
     jitter_ego_car,
     paste_ego_car,
     sample_affine,
     sample_ego_cars,
     warp_affine,
 )
-from roadtorch.train.config import GeometryAugmentation
+from roadtorch.train.config import Augmentation, GeometryAugmentation
 from roadtorch.train.targets import TARGET_PLANES, Targets, split_targets
 from tests.draws import seeded_generator
 from tests.streets import scene
@@ -211,3 +212,27 @@ def test_each_recording_is_lent_as_often_however_many_frames_it_has(tmp_path: Pa
     assert all(levels[level] == pytest.approx(30, abs=18) for level in range(1, 6))
     # Only the known ego car is lent.
     assert cars.ego[0, 0, :, 0].tolist() == [0, 0, 1]
+
+
+def test_every_image_of_a_batch_can_get_an_ego_car(tmp_path: Path) -> None:
+    image, targets = street()
+    planes = torch.cat(targets, 1)
+    planes[:, 6:, 72:] = 0  # no ego car of its own is known
+    ego = (torch.arange(80) >= 60)[:, None].expand(80, 64).to(torch.uint8) * 255
+    pixels = torch.full((3, 80, 64), 200, dtype=torch.uint8)
+    write_arrays(tmp_path / "a.npz", {"image": pixels, "ego": ego})
+    settings = Augmentation(geometry=STILL, ego_car=1.0)
+
+    def augmented(cars: dict[str, list[Path]]) -> Targets:
+        images, targets = (part.expand(4, -1, -1, -1).clone() for part in (image, planes))
+        rng = seeded_generator(0)
+        _, targets = augment_batch(images, targets, settings, lambda maps: maps, cars, rng)
+        return split_targets(targets)
+
+    covered, bare = augmented({"drive": [tmp_path / "a.npz"]}), augmented({})
+
+    assert (covered.ego[:, :, -1] == 1).all()
+    assert (covered.ego_weight[:, :, -1] == 1).all()
+    assert not covered.road[:, :, -1].any()
+    assert covered.road[:, :, 40:44].flatten(1).any(1).all()  # above it, the road is what it was
+    assert not bare.ego.any()

@@ -90,7 +90,7 @@ def test_checkpoints_that_cannot_be_used_are_refused(
 # --- settings ---------------------------------------------------------------------------
 
 
-BACKBONE = {"kind": "images", "network": {"heads": 1}}
+BACKBONE = {"kind": "images", "network": {"backbone": "lite0"}}
 EGO_CARS = {"kind": "images", "augmentation": {"ego_car": 0.5}}
 
 
@@ -101,9 +101,9 @@ EGO_CARS = {"kind": "images", "augmentation": {"ego_car": 0.5}}
         ({"kind": "images", "shuffle_images": 3}, "shuffle_images: unknown setting"),
         ({"kind": "images", "rounds": []}, "rounds: unknown setting"),
         ({"network": {"topology": {"size1": 9}}}, "topology: leaves an empty or odd"),
-        (BACKBONE | {"network": {"heads": 1, "width": 80}}, "network.width: .* multiple of 32"),
-        (BACKBONE, "initial_weights: is empty, but a backbone"),
-        (EGO_CARS, r"augmentation.ego_car: is 0.5, .*recordings.separator"),
+        (BACKBONE | {"network": {"width": 80}}, "network.width: .* multiple of 32"),
+        (BACKBONE, "initial_weights: is empty, but network.backbone is lite0"),
+        (EGO_CARS, "augmentation.ego_car: is 0.5, but only rendered worlds"),
     ],
 )
 def test_mistakes_are_told_with_their_key(values: dict[str, object], message: str) -> None:

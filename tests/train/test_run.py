@@ -1,9 +1,8 @@
-"""Whole runs: finished, interrupted, resumed; one step, and the moving average of the weights."""
+"""Whole runs: finished, interrupted, resumed; the moving average of the weights."""
 
 import json
 import math
 import signal
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,25 +10,19 @@ import torch
 
 from roadtorch.base.atomic import RESULTS_FILE
 from roadtorch.base.errors import DivergedError, ExitCode
-from roadtorch.base.signals import StopRequest
-from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
-from roadtorch.run.memo import read_arrays
-from roadtorch.train.config import Descent, ImageTraining, Stopping, Training
+from roadtorch.train.config import Training
 from roadtorch.train.run import Outcome, TrainingRequest, make_network, train
-from roadtorch.train.run_folder import RunFolder
-from roadtorch.train.targets import TARGET_PLANES
-from roadtorch.train.training_loop import Batch, Loop, Recipe, TrainingProgress
-from roadtorch.train.whole_images import image_loss
+from roadtorch.train.training_loop import Loop
 from tests.command import Call
-from tests.draws import seeded_generator
+from tests.networks import SMALL_BACKBONE
 from tests.train.conftest import Trained
 from tests.train.runs import (
     PATCHES,
     interrupt_after,
     rows_of,
     training_of,
-    write_bonnets,
     write_config,
 )
 
@@ -95,52 +88,42 @@ def test_a_loss_of_nan_is_refused(trained: Trained, monkeypatch: pytest.MonkeyPa
 
 def test_the_weights_that_are_written_are_the_mean_over_the_steps(trained: Trained) -> None:
     changes = ("stopping.epochs=1", "descent.batch=5", "descent.ema=0.9")
-    out = folder_of(trained("images", *changes))
+    still = folder_of(trained("images", *changes, "descent.learning_rate=1e-9", out="still"))
+    out = folder_of(trained("images", *changes, "descent.learning_rate=0.5", out="moved"))
 
     assert not (out / "adaptation.html").exists()  # it compares with the weights before
     # One step: the mean keeps one eleventh of the weights before it.
-    last = torch.load(out / "checkpoint.pt", weights_only=True)["network"]
-    begun = new_network("images", *changes).state_dict()
-    assert not torch.equal(last["heads.bias"], begun["heads.bias"])
+    begun, last = (
+        torch.load(run / "checkpoint.pt", weights_only=True)["network"] for run in (still, out)
+    )
+    assert not torch.equal(last["heads.0.scores.bias"], begun["heads.0.scores.bias"])
     for name, weight in load_network(out / "weights.safetensors").state_dict().items():
-        torch.testing.assert_close(weight, (begun[name] + 10 * last[name]) / 11)
+        mean = ((begun[name] + 10 * last[name]) / 11).to(weight.dtype)
+        torch.testing.assert_close(weight, mean, atol=1e-4, rtol=1e-3)  # in half precision
 
 
-def test_the_ego_car_of_footage_is_in_prepared_images(trained: Trained, tmp_path: Path) -> None:
-    """Files that killed runs left half-written are removed from all folders of a run as well."""
-    footage, prepared = write_bonnets(tmp_path / "footage", 8), tmp_path / "kept"
-    changes = ("augmentation.ego_car=1.0", "recordings.min_frames=8", "stopping.epochs=1")
-    leftovers = [
-        tmp_path / "run",
-        tmp_path / "run/labels-1",
-        prepared,
-        prepared / "ego-cars/street",
-    ]
-    for folder in leftovers:
+def test_what_killed_runs_left_half_written_is_removed(trained: Trained, tmp_path: Path) -> None:
+    out, prepared = tmp_path / "run", tmp_path / "kept"
+    for folder in (out, out / "labels-1", prepared, prepared / "below"):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / ".roadtorch.0123abcd.part").touch()
-    (tmp_path / "run" / RESULTS_FILE).write_text('{"labels-{}": ""}')
+    (out / RESULTS_FILE).write_text('{"labels-{}": ""}')
 
-    trained("images", *changes, images=str(footage), prepared=prepared, out=tmp_path / "run")
+    trained("images", "stopping.epochs=1", prepared=prepared, out=out)
 
     assert not list(tmp_path.rglob("*.part"))
-    for number in range(8):
-        ego = read_arrays(prepared / f"bonnet_{number}.png.npz")["ego"]
-        assert (ego[-4:] > 190).all()
-        assert (ego[-4:] == 255).float().mean() > 0.9
-        assert not ego[:20].any()
 
 
 @pytest.mark.parametrize(
-    ("kind", "size"), [("patches", None), ("images", (32, 40)), ("images", (40, 48))]
+    ("kind", "size"), [("patches", None), ("images", (32, 64)), ("images", (64, 96))]
 )
 def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at(
     kind: str, size: tuple[int, int] | None, trained: Trained, tmp_path: Path
 ) -> None:
     network = new_network(kind, "random_seed=5")
     if size is not None:
-        sides = ImageNetworkSettings(height=size[0], width=size[1], narrow=8, wide=8)
-        network = ImageNetwork(sides)
+        sides = {"height": size[0], "width": size[1]}
+        network = BackboneNetwork(SMALL_BACKBONE.model_copy(update=sides))
     save_network(tmp_path / "first", network, {})
     changes = [
         f"initial_weights={json.dumps(str(tmp_path / 'first'))}",
@@ -152,9 +135,9 @@ def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at
     # With next to no rate the weights stay where they started.
     after = load_network(run / "weights.safetensors")
     for name, weight in network.state_dict().items():
-        torch.testing.assert_close(after.state_dict()[name], weight, atol=1e-6, rtol=0)
-    if isinstance(after, ImageNetwork):
-        assert (after.settings.height, after.settings.width) == (32, 40)
+        torch.testing.assert_close(after.state_dict()[name], weight, atol=1e-6, rtol=1e-3)
+    if isinstance(after, BackboneNetwork):
+        assert (after.settings.height, after.settings.width) == (32, 64)
     assert (run / "labels-1").exists() == (kind == "images")
 
 
@@ -191,29 +174,3 @@ def test_the_status_of_the_command_names_the_signal(
     assert result.exit_code == 143
     assert result.stderr.endswith("stopped by SIGTERM; run the same command again to resume\n")
     assert read_origin(out / "weights.safetensors")["finished"] is False
-
-
-# --- a step --------------------------------------------------------------------------------
-
-
-def stepped(precision: str) -> tuple[float, ImageNetwork]:
-    """Return the loss of one step on random images, and the network after it."""
-    torch.manual_seed(0)
-    network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8))
-    descent = Descent.model_validate({"learning_rate": 0.1, "precision": precision})
-    recipe = Recipe(descent, Stopping())
-    recipe.loss = partial(image_loss, training=ImageTraining())
-    loop = Loop(network, recipe, None, TrainingProgress(), RunFolder(Path()), StopRequest())
-    targets = torch.rand(2, sum(TARGET_PLANES), 32, 40, generator=seeded_generator(1))
-    batch = Batch(torch.randn(2, 3, 32, 40, generator=seeded_generator(2)), targets, torch.ones(2))
-    return loop.step(batch), network
-
-
-def test_a_step_in_bfloat16_is_that_in_float32_to_its_digits() -> None:
-    (loss, network), (coarse, coarse_network) = stepped("float32"), stepped("bfloat16")
-
-    assert coarse != loss
-    assert coarse == pytest.approx(loss, rel=0.01)
-    for exact, rounded in zip(network.parameters(), coarse_network.parameters(), strict=True):
-        assert rounded.dtype == torch.float32
-        torch.testing.assert_close(rounded, exact, atol=2e-3, rtol=0.02)

@@ -4,17 +4,13 @@ from pathlib import Path
 
 import pytest
 import torch
-from torch import nn
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.signals import StopRequest
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.detector import Detector
-from roadtorch.detectors.entry import DetectorSettings, Entry
-from roadtorch.imaging.levels import otsu_threshold
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import NUM_CLASSES
-from roadtorch.layout.image_network import NUM_OUTPUTS, ImageNetwork, ImageNetworkSettings
-from roadtorch.road.bayes import log_odds
+from roadtorch.layout.image_network import NUM_OUTPUTS
 from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.train.config import ImageTraining, Teacher, build_training
 from roadtorch.train.targets import centre_likelihood, make_targets
@@ -26,8 +22,8 @@ from roadtorch.train.teachers import (
     teacher_maps,
 )
 from tests.draws import seeded_generator
+from tests.networks import SMALL_BACKBONE
 from tests.streets import scene
-from tests.train.runs import bonnet
 
 EVEN = Teacher(margin=0.5, road_threshold=0.5)
 
@@ -35,11 +31,6 @@ EVEN = Teacher(margin=0.5, road_threshold=0.5)
 def maps_of(*pixels: tuple[float, ...]) -> torch.Tensor:
     """Return maps (1, C, 1, n) of n pixels: sky, vertical, horizontal, road, for networks ego."""
     return torch.tensor(pixels).T[None, :, None]
-
-
-def ego_of(*pixels: float) -> torch.Tensor:
-    """Return the ego car (1, 1, 1, n) as a prepared image has it, in bytes."""
-    return (torch.tensor(pixels) * 255).round().reshape(1, 1, 1, -1) / 255
 
 
 # --- as likely road as not -----------------------------------------------------------------
@@ -54,25 +45,6 @@ def test_the_threshold_becomes_one_half_and_the_ends_stay() -> None:
     assert (moved.diff() > 0).all()
     odds = moved[1] / (1 - moved[1])
     assert float(odds) == pytest.approx((0.2 / 0.8) / (0.39 / 0.61), rel=1e-4)
-
-
-def test_in_each_image_the_cut_that_parts_it_best_becomes_one_half() -> None:
-    """Compare two cameras on the same road, one with lower likelihoods."""
-    odds = torch.randn(1, 1, 20, 30, generator=seeded_generator(3)).repeat(2, 1, 1, 1)
-    odds[:, :, 10:] += 4
-    odds[1] -= 3
-    cameras = odds.sigmoid()
-
-    fixed, otsu, half = (
-        centre_likelihood(cameras, Teacher(otsu_weight=weight)) for weight in (0.0, 1.0, 0.5)
-    )
-
-    for moved, image in zip(otsu, map(log_odds, cameras), strict=True):
-        torch.testing.assert_close(moved, (image - otsu_threshold(image)).sigmoid())
-    assert torch.equal(otsu[0] >= 0.5, otsu[1] >= 0.5)
-    assert 0.4 < (otsu[0] >= 0.5).float().mean() < 0.6
-    shared = (log_odds(fixed) + log_odds(otsu)) / 2
-    torch.testing.assert_close(log_odds(half), shared, atol=1e-3, rtol=0)
 
 
 # --- where it counts -----------------------------------------------------------------------
@@ -96,7 +68,7 @@ def test_targets_count_where_teachers_are_certain_and_agree(
     teacher: torch.Tensor, network: torch.Tensor | None, settings: Teacher,
     expected: torch.Tensor, counted: tuple[list[float], list[float]],
 ) -> None:  # fmt: skip
-    targets = make_targets(teacher, ego_of(0.5, 0.5, 0.5), network, settings)
+    targets = make_targets(teacher, network, settings)
 
     torch.testing.assert_close(targets.layout, expected[:, :NUM_CLASSES])
     torch.testing.assert_close(targets.road, expected[:, NUM_CLASSES:])
@@ -107,33 +79,25 @@ def test_targets_count_where_teachers_are_certain_and_agree(
 # --- the ego car ---------------------------------------------------------------------------
 
 GROUND = (0.0, 0.1, 0.9, 0.9)
-"""Maps of the teacher on ground, and on the ground extrapolated over an ego car."""
+"""Maps of the teacher on ground, which it also takes an ego car for."""
 
 
 @pytest.mark.parametrize(
-    ("shown", "guess", "ego", "road", "layout_weight"),
+    ("network", "ego", "road", "layout_weight"),
     [
-        # Where the footage shows it, it is known both ways, is no road and no layout.
-        (0, None, 0, 0.9, 1),
-        (1, None, 1, 0.0, 0),
-        # Where nothing is known of it there is none at first,
-        (0.5, None, 0, 0.9, 1),
-        # and where there is a network it says it; what it half believes is none.
-        (0.5, (0.9, 0.95), 1, 0.0, 0),
-        (0.5, (0.9, 0.05), 0, 0.9, 1),
-        (0.5, (0.9, 0.7), 0, 0.9, 1),
-        (1, (0.9, 0.05), 1, 0.0, 0),
-        (0, (0.9, 0.95), 0, 0.9, 1),
-        # The teacher sees the ground go on: it cannot agree with a network that knows better.
-        (1, (0.1, 0.9), 1, 0.0, 0),
+        (None, 0, 0.9, 1),  # where nothing is known of it there is none
+        ((0.9, 0.95), 1, 0.0, 0),
+        ((0.1, 0.95), 1, 0.0, 0),  # the teacher cannot agree with a network that knows better
+        ((0.9, 0.05), 0, 0.9, 1),
+        ((0.9, 0.7), 0, 0.9, 1),  # what it half believes is none
     ],
 )
-def test_the_ego_car(
-    shown: float, guess: tuple[float, float] | None, ego: float, road: float, layout_weight: float
+def test_the_ego_car_is_where_the_network_is_certain_of_it(
+    network: tuple[float, float] | None, ego: float, road: float, layout_weight: float
 ) -> None:
-    network = None if guess is None else maps_of((*GROUND[:3], *guess))
+    maps = None if network is None else maps_of((*GROUND[:3], *network))
 
-    targets = make_targets(maps_of(GROUND), ego_of(shown), network, EVEN)
+    targets = make_targets(maps_of(GROUND), maps, EVEN)
 
     assert (targets.ego.item(), targets.ego_weight.item()) == (ego, 1)
     assert targets.road.item() == pytest.approx(road)
@@ -155,67 +119,35 @@ def test_the_teacher_gives_layout_and_road() -> None:
 
 
 def test_a_vote_with_the_mirror_image_has_no_side() -> None:
-    network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8)).eval()
-    image = torch.rand(3, 32, 40, generator=seeded_generator(6))
+    network = BackboneNetwork(SMALL_BACKBONE).eval()
+    image = torch.rand(3, 32, 64, generator=seeded_generator(6))
 
     vote = network_maps(network, image)
 
     torch.testing.assert_close(vote, network_maps(network, image.flip(-1)).flip(-1))
-    assert vote.shape == (NUM_OUTPUTS, 32, 40)
-    torch.testing.assert_close(vote[:NUM_CLASSES].sum(0), torch.ones(32, 40))
+    assert vote.shape == (NUM_OUTPUTS, 32, 64)
+    torch.testing.assert_close(vote[:NUM_CLASSES].sum(0), torch.ones(32, 64))
 
 
 # --- prepared images --------------------------------------------------------------------
 
 
 def small_training(**teacher: object) -> ImageTraining:
-    values = {"kind": "images", "network": {"height": 32, "width": 48}, "teacher": teacher}
+    network = {"height": 32, "width": 64, "backbone": "none"}
+    values = {"kind": "images", "network": network, "teacher": teacher}
     training = build_training(values)
     assert isinstance(training, ImageTraining)
     return training
 
 
-class Watcher(nn.Module):
-    """A teacher that remembers its images."""
-
-    def __init__(self, settings: DetectorSettings) -> None:
-        super().__init__()
-        self.seen: list[torch.Tensor] = []
-
-    def forward(self, image: torch.Tensor) -> dict[str, torch.Tensor]:
-        self.seen.append(image)
-        return {"likelihood": image.mean(0), "layout": image}
-
-
-@pytest.mark.parametrize("views", ["one", "mirrored"])
-def test_the_teacher_never_sees_the_ego_car(views: str, tmp_path: Path) -> None:
-    teacher = Detector(Entry("watcher", "remembers", DetectorSettings, Watcher), DetectorSettings())
-    ego = bonnet(64, 96)
-    image = torch.where(ego, torch.tensor(1.0), 0.5 * scene(1, 64, 96).image)
-
-    arrays = prepare_image(image, ego, teacher, small_training(views=views))
-
-    images = teacher.analysis.seen
-    assert isinstance(images, list)
-    assert len(images) == (1 if views == "one" else 2)
-    assert all(float(view.max()) <= 0.5 for view in images)  # the bonnet is white
-    assert torch.equal(images[0][:, ~ego], image[:, ~ego])
-    assert int(arrays["maps"].max()) <= 128
-    write_arrays(tmp_path / "a.npz", arrays)
-    assert shows_ego_car(tmp_path / "a.npz")
-
-
-def test_a_prepared_image_has_the_networks_size(tmp_path: Path) -> None:
+def test_a_prepared_image_has_the_networks_size() -> None:
     image, teacher = scene(1, 60, 80).image, load_detector("labeller")
 
-    arrays = prepare_image(image, None, teacher, small_training())
+    arrays = prepare_image(image, teacher, small_training())
 
-    sizes = {"image": (3, 32, 48), "maps": (4, 32, 48), "ego": (32, 48)}
+    sizes = {"image": (3, 32, 64), "maps": (4, 32, 64)}
     assert {name: tuple(value.shape) for name, value in arrays.items()} == sizes
     assert {value.dtype for value in arrays.values()} == {torch.uint8}
-    assert (arrays["ego"] == 128).all()
-    write_arrays(tmp_path / "a.npz", arrays)
-    assert not shows_ego_car(tmp_path / "a.npz")
 
 
 @pytest.mark.parametrize(
@@ -232,10 +164,12 @@ def test_ego_cars_of_full_width_are_lent(
 
 
 def test_a_network_labels_again_what_has_changed(tmp_path: Path) -> None:
-    settings = ImageNetworkSettings(height=32, width=40, narrow=8, wide=8)
-    network, files = ImageNetwork(settings).eval(), [tmp_path / f"{n}.npz" for n in range(2)]
+    network, files = (
+        BackboneNetwork(SMALL_BACKBONE).eval(),
+        [tmp_path / f"{n}.npz" for n in range(2)],
+    )
     for file in files:
-        write_arrays(file, {"image": torch.zeros(3, 32, 40, dtype=torch.uint8)})
+        write_arrays(file, {"image": torch.zeros(3, 32, 64, dtype=torch.uint8)})
 
     def labelled() -> list[torch.Tensor]:
         labels = label_with_network(files, tmp_path / "labels", network, StopRequest(), quiet=True)
@@ -246,7 +180,7 @@ def test_a_network_labels_again_what_has_changed(tmp_path: Path) -> None:
     assert torch.equal(first, again)
     labelled()
     assert [file.stat().st_mtime_ns for file in (tmp_path / "labels").iterdir()] == times
-    write_arrays(files[0], {"image": torch.full((3, 32, 40), 255, dtype=torch.uint8)})
+    write_arrays(files[0], {"image": torch.full((3, 32, 64), 255, dtype=torch.uint8)})
     changed, unchanged = labelled()
     assert not torch.equal(changed, first)
     assert torch.equal(unchanged, again)

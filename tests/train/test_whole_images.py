@@ -7,27 +7,27 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadtorch.base.signals import StopRequest
 from roadtorch.run.memo import write_arrays
 from roadtorch.train import effects
 from roadtorch.train.config import HeadWeights, ImageTraining, build_training
-from roadtorch.train.targets import TARGET_PLANES, Targets, split_targets
-from roadtorch.train.training_loop import Batch, TrainingInputs
+from roadtorch.train.targets import TARGET_PLANES, Targets
+from roadtorch.train.training_loop import Batch
 from roadtorch.train.whole_images import (
-    ImageRecipe,
     ImageSamples,
+    balanced_weights,
+    group_ego_cars,
     image_loss,
+    name_recordings,
     sample_members,
     target_loss,
 )
 from tests.draws import seeded_generator
-
-SAME_FRAME = {"scale": 0.0, "stretch": 0.0, "rotation": 0.0, "translation": 0.0}
+from tests.networks import SMALL_BACKBONE
 
 
 def training_of(**values: object) -> ImageTraining:
-    network = {"height": 32, "width": 40, "narrow": 8, "wide": 8}
-    usual = {"network": network, "descent": {"batch": 2}, "recordings": {"separator": "_"}}
+    network = {**SMALL_BACKBONE.model_dump(), "backbone": "none"}
+    usual = {"network": network, "descent": {"batch": 2}}
     training = build_training({"kind": "images", **usual, **values})
     assert isinstance(training, ImageTraining)
     return training
@@ -35,22 +35,18 @@ def training_of(**values: object) -> ImageTraining:
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Write five prepared images, each of one grey; the last shows an ego car."""
+    """Write five prepared images, each of one grey."""
     folder = tmp_path_factory.mktemp("prepared")
     paths = [folder / f"{number}.npz" for number in range(5)]
     for number, path in enumerate(paths):
-        maps = torch.randint(256, (4, 32, 40), generator=seeded_generator(number)).to(torch.uint8)
-        image = torch.full((3, 32, 40), 40 * number, dtype=torch.uint8)
-        ego = torch.full((32, 40), 128, dtype=torch.uint8)
-        if number == 4:
-            ego[:24], ego[24:] = 0, 255
-        write_arrays(path, {"image": image, "maps": maps, "ego": ego})
+        maps = torch.randint(256, (4, 32, 64), generator=seeded_generator(number)).to(torch.uint8)
+        image = torch.full((3, 32, 64), 40 * number, dtype=torch.uint8)
+        write_arrays(path, {"image": image, "maps": maps})
     return paths
 
 
-def samples_of(files: list[Path], training: ImageTraining, shows_ego: bool = False) -> ImageSamples:
-    cars = {"drive": files[4:]} if shows_ego else {}
-    return ImageSamples(training, files, torch.ones(5), cars)
+def samples_of(files: list[Path]) -> ImageSamples:
+    return ImageSamples(training_of(), files, torch.ones(5), {})
 
 
 # --- batches -------------------------------------------------------------------------------
@@ -58,43 +54,20 @@ def samples_of(files: list[Path], training: ImageTraining, shows_ego: bool = Fal
 
 def test_an_epoch_has_every_image_once(files: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(effects, "jitter_light", lambda images, _: images)
-    samples = samples_of(files, training_of())
+    samples = samples_of(files)
 
     batches = [batch for chunk in range(samples.chunks) for batch in samples.batches(0, chunk)]
 
     levels = torch.cat([batch.inputs for batch in batches]).mean((1, 2, 3))
-    expected = (torch.arange(5) * 40 / 255 - 0.5) * 4
+    expected = torch.arange(5) * 40 / 255
     torch.testing.assert_close(levels.sort().values, expected, atol=1e-3, rtol=0)
-    assert all(batch.targets.shape[1:] == (sum(TARGET_PLANES), 32, 40) for batch in batches)
+    assert all(batch.targets.shape[1:] == (sum(TARGET_PLANES), 32, 64) for batch in batches)
 
 
 def test_epochs_draw_differently(files: list[Path]) -> None:
-    first, again, second = (
-        next(samples_of(files, training_of()).batches(epoch, 0)).inputs for epoch in (0, 0, 1)
-    )
+    first, again, second = (next(samples_of(files).batches(epoch, 0)).inputs for epoch in (0, 0, 1))
     assert torch.equal(first, again)
     assert not torch.equal(first, second)
-
-
-def targets_with(files: list[Path], probability: float, shows_ego: bool = True) -> Targets:
-    """Return the targets of an epoch whose images keep their geometry."""
-    varied = {"geometry": SAME_FRAME, "ego_car": probability}
-    training = training_of(augmentation=varied, descent={"batch": 5})
-    (batch,) = samples_of(files, training, shows_ego=shows_ego).batches(0, 0)
-    return split_targets(batch.targets)
-
-
-def test_every_image_can_get_an_ego_car(files: list[Path]) -> None:
-    targets = targets_with(files, 1.0)
-    assert (targets.ego[:, :, -1] == 1).all()
-    assert (targets.ego_weight[:, :, -1] == 1).all()
-    assert not targets.road[:, :, -1].any()
-    assert targets.road[:, :, :8].flatten(1).any(1).all()  # above it, the road is what it was
-
-    none = targets_with(files, 0.0)
-    assert none.ego[:, 0, -1, 20].round().sort().values.tolist() == [0, 0, 0, 0, 1]  # its own
-    unseen = (targets_with(files, value, shows_ego=False) for value in (0.0, 1.0))
-    assert all(map(torch.equal, *unseen))  # no footage shows one
 
 
 # --- visits --------------------------------------------------------------------------------
@@ -125,14 +98,13 @@ def test_recordings_follow_from_names(balance: float, weight: float, tmp_path: P
     for file in files:  # all but the first show an ego car
         level = 128 if file == files[0] else 255
         write_arrays(file, {"ego": torch.full((2, 2), level, dtype=torch.uint8)})
-    recordings = {"separator": "_", "balance": balance}
-    recipe = ImageRecipe(training_of(recordings=recordings, teacher={"detector": "labeller"}))
 
-    recipe.survey([], folder, StopRequest(), True)
-    samples = recipe.make_samples(TrainingInputs(files, {}, None, tmp_path), StopRequest(), True)
+    names = name_recordings(files, folder, "_")
 
-    assert samples.sampling_weights.tolist() == pytest.approx([weight, weight, weight, 1, 1])
-    assert samples.ego_cars == {"a_x": files[1:3], "b": files[3:4], "c": files[4:]}
+    weights = balanced_weights(names, balance)
+    assert weights == pytest.approx([weight, weight, weight, 1, 1])
+    cars = group_ego_cars(files, names)
+    assert cars == {"a_x": files[1:3], "b": files[3:4], "c": files[4:]}
 
 
 # --- the loss -----------------------------------------------------------------------------

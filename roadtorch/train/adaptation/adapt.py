@@ -23,7 +23,7 @@ from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.image_network import ROAD_OUTPUT
 from roadtorch.layout.weights import (
-    WholeImageNetwork,
+    BackboneNetwork,
     load_network,
     read_origin,
     save_network,
@@ -43,7 +43,6 @@ from roadtorch.train.adaptation.verdict import (
 from roadtorch.train.config import ImageTraining
 from roadtorch.train.corrections import format_card, inherited_corrections
 from roadtorch.train.prepared import from_uint8, to_uint8
-from roadtorch.train.recordings import MAX_FRAMES
 from roadtorch.train.run import Outcome, TrainingRequest, prepare_folder, train
 from roadtorch.train.run_folder import ADAPTATION_PAGE, CARD, LOG, PREPARED, WEIGHTS, RunFolder
 from roadtorch.train.teachers import resize_as_prepared
@@ -54,6 +53,9 @@ CAMERA_FILE, FRAMES, TEACHER_LABELS = "camera.toml", "frames", "labels"
 
 CALIBRATED = "calibrated.safetensors"
 """Weights of a half's network, with its bias calibrated to the teacher."""
+
+MAX_FRAMES = 120
+"""Largest number of frames from which a camera is estimated, evenly spaced."""
 
 LABEL_SMOOTHING = TemporalFilterSettings(flow_error=2.0, relative_flow_error=0.1, contrast=0.1)
 """Stricter than for video: frames are far apart in time, so that forward and backward flow often
@@ -203,7 +205,7 @@ def _average(frames: SampledFrames, out: Path, training: ImageTraining, quiet: b
 def write_biased(learned: Path, file: Path, bias: float) -> None:
     """Write a copy of a network with ``bias`` added to the log odds of road."""
     network = load_network(learned)
-    assert isinstance(network, WholeImageNetwork)
+    assert isinstance(network, BackboneNetwork)
     with torch.no_grad():
         for layer in network.last_layers():
             assert layer.bias is not None

@@ -18,18 +18,20 @@ from roadtorch.base.bounded import read_regular
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.image import write_rgb
 from roadtorch.base.progress import Progress
-from roadtorch.imaging.resize import resize_to_work
+from roadtorch.imaging.resize import WorkingSize, resize_to_work
 from roadtorch.inputs.find import Inputs, find_inputs
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
 from roadtorch.run.memo import cache_key
-from roadtorch.train.recordings import FRAME_SIZE
 
 HALVES = ("first", "second")
 """Halves of the footage by time, so that neighbouring frames, which are alike, stay together."""
 
 FRAME_INTERVAL = 0.4
 """Seconds between sampled frames, few enough for the ground ahead to stay in view."""
+
+FRAME_SIZE = WorkingSize(pixels=640 * 480)
+"""Size to which frames are reduced, as all of them are in memory at once."""
 
 RUN_LENGTH = 5
 """Number of consecutive frames that are kept or dropped together in longer footage."""

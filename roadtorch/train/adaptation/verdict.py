@@ -141,9 +141,8 @@ def _labelled_frames(
         file = prepared / f"{image_file_name(image)}.npz"
         if not file.exists():
             continue  # skipped and reported before
-        arrays = read_arrays(file, "maps", "ego")
-        maps, ego = (from_uint8(arrays[name])[None] for name in ("maps", "ego"))
-        targets = make_targets(maps, ego[None], None, training.teacher)
+        maps = from_uint8(read_arrays(file, "maps")["maps"])[None]
+        targets = make_targets(maps, None, training.teacher)
         yield image.read(), targets.road[0, 0] >= 0.5, targets.road_weight[0, 0] > 0
 
 
