@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from roadtorch.layout.backbone_network import BackboneNetworkSettings
+from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
 from roadtorch.layout.image_network import EGO_OUTPUT, ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, save_network
 
@@ -20,7 +20,9 @@ SMALL_BACKBONE = BackboneNetworkSettings(
 
 
 def write_random_network(
-    path: Path, seed: int, make: Callable[[], LayoutNetwork] = lambda: ImageNetwork(SMALL)
+    path: Path,
+    seed: int,
+    make: Callable[[], LayoutNetwork] = lambda: BackboneNetwork(SMALL_BACKBONE),
 ) -> Path:
     """Write the weights of an untrained network."""
     with torch.random.fork_rng(devices=[]):
