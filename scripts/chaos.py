@@ -198,7 +198,6 @@ TRAINING = """
 kind = "images"
 network = { height = 32, width = 64, narrow = 8, wide = 8, heads = 1, backbone = "none" }
 teacher = { detector = "labeller", working = { pixels = 4800 } }
-recordings = { separator = "_", min_frames = 2 }
 descent = { batch = 2, method = "adam", learning_rate = 0.01, ema = 0.7 }
 stopping = { rule = "epochs", epochs = 2 }
 """

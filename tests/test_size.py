@@ -33,8 +33,8 @@ LINES = {
     "roadtorch/testing": 636,
     "roadtorch/train": 4_027,
     "roadtorch/ufl": 1_345,
-    "scripts": 4_791,
-    "tests": 26_817,
+    "scripts": 4_790,
+    "tests": 26_835,
     "train": 4_441,
 }
 """The lines of source code that each folder may have."""

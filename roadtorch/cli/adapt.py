@@ -71,7 +71,7 @@ def adapt_command(
         torch.set_num_threads(threads)
     values = merge(read_settings_file(find_config(ADAPT_CONFIG)), parse_assignments(assignments))
     training = build_training(values)
-    if not isinstance(training, ImageTraining) or not training.initial_weights:
+    if not isinstance(training, ImageTraining) or training.is_new:
         message = "adaptation starts from the weights of a whole-image network"
         hint = "keep kind = images, and give initial_weights=WEIGHTS"
         raise ConfigError("kind, initial_weights", message, hint)

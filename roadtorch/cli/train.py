@@ -135,7 +135,7 @@ def train_command(
     if not quiet:
         skipped = f"; {outcome.skipped} skipped, see images.csv" if outcome.skipped else ""
         click.echo(f"roadtorch: weights in {outcome.weights}{skipped}", err=True)
-    if (training.initial_weights or corrected) and not isinstance(training, SelfTraining):
+    if (corrected or not training.is_new) and not isinstance(training, SelfTraining):
         weights, roads = f"weights.file={outcome.weights}", str(out / "roads")
         words = ["roadtorch", "infer", images, "--set", weights, "--out", roads]
         use = shlex.join(words) if corrected and isinstance(training, ImageTraining) else ""

@@ -91,7 +91,8 @@ def write_page(
     """
     if outcome.weights is None:
         return None
-    weights, start = outcome.weights, weights_path(training.initial_weights or DEFAULT_WEIGHTS)
+    start = DEFAULT_WEIGHTS if training.is_new else training.initial_weights
+    weights, start = outcome.weights, weights_path(start)
     initial, trained = (parse_reference(str(path), {}) for path in (start, weights))
     methods = (replace(initial, name="before"), replace(trained, name="after"))
     images, held_out = find_images([request.images], request.out), outcome.held_out

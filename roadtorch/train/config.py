@@ -127,6 +127,11 @@ class CommonTraining(Settings):
         "imagenet for a backbone with ImageNet's weights; empty for new weights",
     )
 
+    @property
+    def is_new(self) -> bool:
+        """Whether the network is new: no run has trained it before."""
+        return self.initial_weights in ("", IMAGENET)
+
 
 class PatchTraining(CommonTraining):
     """Training of a patch network, as P2 trains CNN-7."""
@@ -352,7 +357,7 @@ def build_training(values: dict[str, Any]) -> Training:
     settings = build_settings(TRAINING_KINDS[kind], nested)
     if isinstance(settings, SelfTraining):
         check_initial_weights(settings)
-        if settings.rounds[0].target and settings.initial_weights in ("", IMAGENET):
+        if settings.rounds[0].target and settings.is_new:
             message = "is not 0, but no network has learned yet that could label them"
             raise ConfigError("rounds.0.target", message, "learn from source images first")
     elif isinstance(settings, ImageTraining):
@@ -366,7 +371,7 @@ def build_training(values: dict[str, Any]) -> Training:
 def check_initial_weights(settings: ImageTraining | SelfTraining) -> None:
     """Raise ConfigError where a new network's backbone and its initial weights disagree."""
     initial, backbone = settings.initial_weights, settings.network.backbone
-    if initial in ("", IMAGENET) and (initial == IMAGENET) == (backbone == "none"):
+    if settings.is_new and (initial == IMAGENET) == (backbone == "none"):
         message = f"is {initial or 'empty'}, but network.backbone is {backbone}"
         hint = 'give imagenet with lite0 or lite2, and "" with none'
         raise ConfigError("initial_weights", message, hint)

@@ -19,7 +19,6 @@ from roadtorch.base.version import __version__
 from roadtorch.data.corrections import HumanLabels
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
-from roadtorch.layout.pretrained import IMAGENET
 from roadtorch.layout.weights import (
     BackboneNetwork,
     LayoutNetwork,
@@ -140,7 +139,7 @@ def load_initial_network(training: Training) -> LayoutNetwork | None:
 
     Raises WeightsError if its settings differ in anything but the size.
     """
-    if training.initial_weights in ("", IMAGENET):
+    if training.is_new:
         return None
     network = load_network(weights_path(training.initial_weights))
     if isinstance(network, BackboneNetwork) and not isinstance(training, PatchTraining):

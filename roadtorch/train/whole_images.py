@@ -25,12 +25,7 @@ from roadtorch.layout.image_network import (
     ROAD_OUTPUT,
 )
 from roadtorch.layout.patch_network import normalise
-from roadtorch.layout.pretrained import (
-    IMAGENET,
-    load_imagenet_weights,
-    measure_norms,
-    scale_layers,
-)
+from roadtorch.layout.pretrained import load_imagenet_weights, measure_norms, scale_layers
 from roadtorch.layout.weights import BackboneNetwork
 from roadtorch.run.memo import Arrays, cache_key, file_digests, make_cached_reader, read_arrays
 from roadtorch.train.augmentation import InputResize, augment_batch
@@ -213,7 +208,7 @@ def initialise_network(
     A network with other initial weights stays as it is.
     """
     assert isinstance(network, BackboneNetwork)
-    if training.initial_weights not in ("", IMAGENET):
+    if not training.is_new:
         return
     network.to(samples.device)
     count = min(LEVEL_BATCHES, samples.chunks)

@@ -21,6 +21,8 @@ from roadtorch.data.label_images import LabelPixels
 from roadtorch.data.masks import Mask
 from roadtorch.evaluation.report.montage import TILE_WIDTH, VERMILLION
 from roadtorch.evaluation.result import Comparison, Difference, Interval
+from roadtorch.layout.backbone_network import Backbone, BackboneNetwork
+from roadtorch.layout.pretrained import load_imagenet_weights
 from roadtorch.layout.weights import load_network, read_correction_runs
 from roadtorch.testing.scenes import write_image
 from roadtorch.train.comparison_page import describe_gain
@@ -150,6 +152,22 @@ def test_a_run_from_weights_ends_with_a_page_of_masks_before_and_after(tmp_path:
     path.unlink()  # it is written again by resuming
     invoke_command(train_command, *words)
     assert path.read_text().split("<h2>Weights")[0] == page.split("<h2>Weights")[0]
+
+
+def test_a_run_from_the_weights_of_imagenet_begins_with_them(streets: Path, tmp_path: Path) -> None:
+    words = ["--config", write_config(tmp_path / "run.toml", IMAGES), "--images", streets]
+    words += ["--out", tmp_path / "run", "--set", "initial_weights=imagenet"]
+    words += ["--set", "network.backbone=lite0", "--set", "descent.learning_rate=1e-9"]
+
+    invoke_command(train_command, *words)
+
+    assert not (tmp_path / "run/adaptation.html").exists()  # there is nothing to compare with
+    network = load_network(tmp_path / "run/weights.safetensors")
+    assert isinstance(network, BackboneNetwork)
+    load_imagenet_weights(expected := Backbone(), "lite0")
+    for name, weight in expected.state_dict().items():
+        begun = network.backbone.state_dict()[name]
+        torch.testing.assert_close(begun, weight, atol=1e-5, rtol=1e-3)  # in half precision
 
 
 def test_masks_train_and_the_held_out_image_scores(
