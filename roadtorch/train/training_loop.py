@@ -246,12 +246,15 @@ class Loop:
     def _title(self, epoch: int) -> str:
         return f"{self.title}epoch {epoch} of {self.stopping.epochs}"
 
+    def _rate_of(self, chunk: int) -> float:
+        epochs = self.progress.epoch + chunk / self.samples.chunks
+        return self.descent.learning_rate_at(epochs / self.stopping.epochs)
+
     def _train_chunk(self) -> None:
         progress, loss = self.progress, 0.0
-        epochs = progress.epoch + progress.chunk / self.samples.chunks
-        self._rate = self.descent.learning_rate_at(epochs / self.stopping.epochs)
+        rate = self._rate_of(progress.chunk)
         for group in self._optimiser.param_groups:
-            group["lr"] = self._rate * group["factor"]
+            group["lr"] = rate * group["factor"]
         for batch in self.samples.batches(progress.epoch, progress.chunk):
             loss += self.step(batch)
             progress.count += len(batch.inputs)
@@ -288,7 +291,7 @@ class Loop:
             "epoch": progress.epoch + 1,
             "loss": progress.loss / max(1, progress.count),
             "samples": progress.count,
-            "learning_rate": self._rate,
+            "learning_rate": self._rate_of(self.samples.chunks - 1),
             "seconds": round(progress.seconds, 1),
         }
         progress.rows.append(row)

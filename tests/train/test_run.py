@@ -12,6 +12,7 @@ from roadtorch.base.atomic import RESULTS_FILE
 from roadtorch.base.errors import DivergedError, ExitCode
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
+from roadtorch.train import training_loop
 from roadtorch.train.config import Training
 from roadtorch.train.run import Outcome, TrainingRequest, make_network, train
 from roadtorch.train.training_loop import Loop
@@ -160,6 +161,22 @@ def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
     name = "weights.safetensors"
     assert (pieces / name).read_bytes() == (whole[kind] / name).read_bytes()
     assert rows_of(pieces) == rows_of(whole[kind])
+
+
+def test_a_run_that_was_killed_at_the_end_of_an_epoch_goes_on(
+    whole: dict[str, Path], trained: Trained, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(training_loop, "SAVE_INTERVAL", 0.0)
+        patch.setattr(Loop, "_end_epoch", lambda _: pytest.fail("killed"))
+        with pytest.raises(pytest.fail.Exception, match="killed"):
+            trained("images", WHOLE["images"], out="killed")
+
+    killed = folder_of(trained("images", WHOLE["images"], out="killed"))
+
+    name = "weights.safetensors"
+    assert (killed / name).read_bytes() == (whole["images"] / name).read_bytes()
+    assert rows_of(killed) == rows_of(whole["images"])
 
 
 def test_the_status_of_the_command_names_the_signal(
