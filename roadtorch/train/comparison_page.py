@@ -91,8 +91,8 @@ def write_page(
     """
     if outcome.weights is None:
         return None
-    start = DEFAULT_WEIGHTS if training.is_new else training.initial_weights
-    weights, start = outcome.weights, weights_path(start)
+    weights = outcome.weights
+    start = weights_path(DEFAULT_WEIGHTS if training.is_new else training.initial_weights)
     initial, trained = (parse_reference(str(path), {}) for path in (start, weights))
     methods = (replace(initial, name="before"), replace(trained, name="after"))
     images, held_out = find_images([request.images], request.out), outcome.held_out

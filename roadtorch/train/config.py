@@ -129,7 +129,7 @@ class CommonTraining(Settings):
 
     @property
     def is_new(self) -> bool:
-        """Whether the network is new: no run has trained it before."""
+        """Return whether the network is new: no run has trained it before."""
         return self.initial_weights in ("", IMAGENET)
 
 
@@ -355,16 +355,14 @@ def build_training(values: dict[str, Any]) -> Training:
     if kind not in TRAINING_KINDS:
         raise unknown_name_error("kind of training", kind, TRAINING_KINDS)
     settings = build_settings(TRAINING_KINDS[kind], nested)
-    if isinstance(settings, SelfTraining):
+    if isinstance(settings, ImageTraining | SelfTraining):
         check_initial_weights(settings)
-        if settings.rounds[0].target and settings.is_new:
-            message = "is not 0, but no network has learned yet that could label them"
-            raise ConfigError("rounds.0.target", message, "learn from source images first")
-    elif isinstance(settings, ImageTraining):
-        check_initial_weights(settings)
-        if probability := settings.augmentation.ego_car:
-            message = f"is {probability:g}, but only rendered worlds show where an ego car is"
-            raise ConfigError("augmentation.ego_car", message, "leave it out")
+    if isinstance(settings, SelfTraining) and settings.rounds[0].target and settings.is_new:
+        message = "is not 0, but no network has learned yet that could label them"
+        raise ConfigError("rounds.0.target", message, "learn from source images first")
+    if isinstance(settings, ImageTraining) and (fraction := settings.augmentation.ego_car):
+        message = f"is {fraction:g}, but only rendered worlds show where an ego car is"
+        raise ConfigError("augmentation.ego_car", message, "leave it out")
     return settings
 
 

@@ -39,11 +39,7 @@ from roadtorch.train.prepared import Preparation, from_uint8, image_file_name, p
 from roadtorch.train.run_folder import ROUND_WEIGHTS, SHEET
 from roadtorch.train.source import find_source_images, prepare_source, truth_targets
 from roadtorch.train.targets import Targets, split_targets
-from roadtorch.train.training_loop import (
-    Batch,
-    Recipe,
-    TrainingInputs,
-)
+from roadtorch.train.training_loop import Batch, Recipe, TrainingInputs
 from roadtorch.train.whole_images import (
     AugmentedImages,
     balanced_weights,

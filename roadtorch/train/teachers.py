@@ -32,10 +32,6 @@ from roadtorch.train.prepared import from_uint8, to_uint8
 # --- teachers ---------------------------------------------------------------------------
 
 
-MIN_EGO_WIDTH, MIN_EGO_AREA = 0.95, 0.03
-"""Fractions of the columns and of the image that an ego car has to cover to be cut out."""
-
-
 def prepare_image(image: Tensor, teacher: Detector, training: ImageTraining) -> Arrays:
     """Return an image (3, H, W) at the network's size, with the teacher's maps, uint8 up to 255.
 
@@ -53,13 +49,6 @@ def resize_as_prepared(
     """Resize maps (…, H, W) to a size, with the upper rows of a network of these settings."""
     rows = count_upper_rows(network.upper_rows, network.height)
     return resize_rows(maps, size, round(rows / network.height * size[0]), resize)
-
-
-def shows_ego_car(file: Path) -> bool:
-    """Return whether a prepared image shows an ego car from side to side; less may be an error."""
-    ego = read_arrays(file, "ego")["ego"] == 255
-    across = float(ego.any(0).double().mean())
-    return across >= MIN_EGO_WIDTH and float(ego.double().mean()) >= MIN_EGO_AREA
 
 
 def load_teacher(teacher: Teacher) -> Detector:

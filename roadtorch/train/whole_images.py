@@ -40,7 +40,6 @@ from roadtorch.train.teachers import (
     network_maps,
     prepare_image,
     resize_as_prepared,
-    shows_ego_car,
 )
 from roadtorch.train.training_loop import (
     IMAGE_ORDER,
@@ -165,6 +164,17 @@ def name_recordings(files: Iterable[Path], folder: Path, separator: str) -> list
     """Return the recording of each prepared image (NAME.SUFFIX.npz) in a folder."""
     stems = [file.relative_to(folder).with_suffix("").with_suffix("") for file in files]
     return [recording_name(stem.as_posix(), separator) for stem in stems]
+
+
+MIN_EGO_WIDTH, MIN_EGO_AREA = 0.95, 0.03
+"""Fractions of the columns and of the image that an ego car has to cover to be cut out."""
+
+
+def shows_ego_car(file: Path) -> bool:
+    """Return whether a prepared image shows an ego car from side to side; less may be an error."""
+    ego = read_arrays(file, "ego")["ego"] == 255
+    across = float(ego.any(0).double().mean())
+    return across >= MIN_EGO_WIDTH and float(ego.double().mean()) >= MIN_EGO_AREA
 
 
 def group_ego_cars(files: Iterable[Path], names: Sequence[str]) -> dict[str, list[Path]]:
@@ -380,5 +390,5 @@ class ImageRecipe(Recipe):
             labels = label_with_network(files, inputs.labels, network, stop, quiet)
         corrected = torch.tensor([file in inputs.corrected for file in files])
         weights = reweight(torch.ones(len(files)), corrected, training.corrections.fraction)
-        common = (training, files, weights, {}, 0, inputs.device)
-        return ImageSamples(*common, labels=labels, corrected=inputs.corrected)
+        maps = {"labels": labels, "corrected": inputs.corrected}
+        return ImageSamples(training, files, weights, {}, device=inputs.device, **maps)

@@ -18,9 +18,9 @@ from roadtorch.train.teachers import (
     label_with_network,
     network_maps,
     prepare_image,
-    shows_ego_car,
     teacher_maps,
 )
+from roadtorch.train.whole_images import shows_ego_car
 from tests.draws import seeded_generator
 from tests.networks import SMALL_BACKBONE
 from tests.streets import scene
@@ -164,10 +164,8 @@ def test_ego_cars_of_full_width_are_lent(
 
 
 def test_a_network_labels_again_what_has_changed(tmp_path: Path) -> None:
-    network, files = (
-        BackboneNetwork(SMALL_BACKBONE).eval(),
-        [tmp_path / f"{n}.npz" for n in range(2)],
-    )
+    network = BackboneNetwork(SMALL_BACKBONE).eval()
+    files = [tmp_path / f"{n}.npz" for n in range(2)]
     for file in files:
         write_arrays(file, {"image": torch.zeros(3, 32, 64, dtype=torch.uint8)})
 

@@ -26,8 +26,7 @@ from tests.networks import SMALL_BACKBONE
 
 
 def training_of(**values: object) -> ImageTraining:
-    network = {**SMALL_BACKBONE.model_dump(), "backbone": "none"}
-    usual = {"network": network, "descent": {"batch": 2}}
+    usual = {"network": SMALL_BACKBONE.model_dump(), "descent": {"batch": 2}}
     training = build_training({"kind": "images", **usual, **values})
     assert isinstance(training, ImageTraining)
     return training
