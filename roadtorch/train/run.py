@@ -231,8 +231,9 @@ class TrainingRun:
         progress = _read_progress(state, path / CHECKPOINT) if state else TrainingProgress()
         inputs = TrainingInputs(trained, corrected, self.initial, path)
         inputs = inputs._replace(device=self.request.device)
-        network = self.initial or make_network(self.training)
+        initial = self.initial or make_network(self.training)
         while True:
+            network = self.recipe.network_of_round(initial, path, progress.round)
             loop = self._train_round(network, inputs, progress, state, validation)
             network, state = loop.average.eval(), None
             network.load_state_dict(loop.best)
@@ -259,7 +260,7 @@ class TrainingRun:
         """
         request, recipe, number = self.request, self.recipe, progress.round
         samples: Any = recipe.make_samples(inputs._replace(number=number), self.stop, request.quiet)
-        if number == 1 and not state:
+        if not state:
             recipe.initialise(network, samples)
         title = request.title
         if recipe.rounds > 1:

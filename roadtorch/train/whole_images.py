@@ -225,7 +225,7 @@ def initialise_network(
     images = (batch.inputs for chunk in range(count) for batch in samples.batches(0, chunk))
     with seed_torch(training.random_seed, 1):
         if training.initial_weights:
-            load_imagenet_weights(network.backbone, training.network.backbone)
+            load_imagenet_weights(network.backbone, network.settings.backbone)
         else:
             scale_layers(network.backbone, next(islice(images, 1)))
     measure_norms(network, images)

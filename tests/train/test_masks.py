@@ -32,7 +32,7 @@ from roadtorch.train.run import Outcome
 from roadtorch.train.targets import Targets
 from roadtorch.train.whole_images import target_loss
 from tests.command import invoke_command
-from tests.networks import write_random_network
+from tests.networks import write_random_network, write_wheel
 from tests.streets import scene
 from tests.train.conftest import Trained
 from tests.train.runs import IMAGES, rows_of, write_config
@@ -154,7 +154,11 @@ def test_a_run_from_weights_ends_with_a_page_of_masks_before_and_after(tmp_path:
     assert path.read_text().split("<h2>Weights")[0] == page.split("<h2>Weights")[0]
 
 
-def test_a_run_from_the_weights_of_imagenet_begins_with_them(streets: Path, tmp_path: Path) -> None:
+def test_a_run_from_the_weights_of_imagenet_begins_with_them(
+    streets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_wheel(tmp_path, "lite0", expected := Backbone())
+    monkeypatch.syspath_prepend(tmp_path)
     words = ["--config", write_config(tmp_path / "run.toml", IMAGES), "--images", streets]
     words += ["--out", tmp_path / "run", "--set", "initial_weights=imagenet"]
     words += ["--set", "network.backbone=lite0", "--set", "descent.learning_rate=1e-9"]
@@ -164,7 +168,7 @@ def test_a_run_from_the_weights_of_imagenet_begins_with_them(streets: Path, tmp_
     assert not (tmp_path / "run/adaptation.html").exists()  # there is nothing to compare with
     network = load_network(tmp_path / "run/weights.safetensors")
     assert isinstance(network, BackboneNetwork)
-    load_imagenet_weights(expected := Backbone(), "lite0")
+    load_imagenet_weights(expected, "lite0")
     for name, weight in expected.state_dict().items():
         begun = network.backbone.state_dict()[name]
         torch.testing.assert_close(begun, weight, atol=1e-5, rtol=1e-3)  # in half precision
