@@ -18,7 +18,7 @@ LINES = {
     "roadtorch/annotate": 2_153,
     "roadtorch/base": 2_153,
     "roadtorch/camera": 2_157,
-    "roadtorch/cli": 1_969,
+    "roadtorch/cli": 1_964,
     "roadtorch/data": 2_484,
     "roadtorch/detectors": 2_418,
     "roadtorch/evaluation": 3_553,
@@ -29,19 +29,19 @@ LINES = {
     "roadtorch/oneclass": 1_746,
     "roadtorch/road": 1_519,
     "roadtorch/ros": 534,
-    "roadtorch/run": 2_363,
+    "roadtorch/run": 2_198,
     "roadtorch/testing": 636,
     "roadtorch/train": 4_023,
     "roadtorch/ufl": 1_345,
     "scripts": 4_790,
-    "tests": 26_852,
+    "tests": 26_779,
     "train": 4_441,
 }
 """The lines of source code that each folder may have."""
 
 TOP_NAMES = 18
 DEPENDENCIES = 14
-OPTIONS = 85
+OPTIONS = 84
 COMMAND_COUNT = 11
 
 REASON = "cut something, or raise the number and state the reason in the same commit"

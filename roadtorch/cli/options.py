@@ -122,7 +122,7 @@ OPTION_SECTIONS = {
     **dict.fromkeys(("detector", "assignments", "config", "camera_file", "threshold"), "Detector"),
     **dict.fromkeys(("every", "start", "end", "limit", "topic"), "Footage"),
     **dict.fromkeys(("smoothing", "view"), "Footage"),
-    **dict.fromkeys(("jobs", "engine", "threads", "device", "runtime"), "Computing"),
+    **dict.fromkeys(("jobs", "threads", "device", "runtime"), "Computing"),
     **dict.fromkeys(("reports", "exported", "to", "imported", "origin"), "Without the page"),
 }
 """Sections of ``--help``, by option."""
@@ -303,11 +303,6 @@ computing_options = _group_options(
     RUN_OPTIONS_CLASS,
     "options",
     JOBS_OPTION,
-    click.option(
-        "--engine",
-        default="local",
-        help="local: processes; ray: actors on Ray (extra: ray); or the address of a Ray cluster.",
-    ),
     click.option(
         "--threads",
         type=click.IntRange(min=1),

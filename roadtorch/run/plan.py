@@ -2,8 +2,8 @@
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -16,31 +16,17 @@ from roadtorch.inputs.find import Inputs
 from roadtorch.inputs.item import Item, Source
 from roadtorch.run.ledger import COCO_FILE, FRAME_NUMBER, INDEX_FILE, RUN_FILE
 from roadtorch.run.loop import FileWriter, Writer
-from roadtorch.run.workers import Workers, count_processors, make_workers
 
 
 @dataclass(frozen=True)
 class RunOptions:
     """Options of a run."""
 
-    jobs: int | None = None  # processes, or actors on Ray; None for an automatic number
+    jobs: int | None = None  # processes; None for an automatic number
     overwrite: bool = False  # redo finished results
     quiet: bool = False  # no progress on stderr
-    engine: str = "local"  # ``local``, ``ray`` for Ray on this machine, or the address of a cluster
     threads: int = 1  # per image
     device: str = "cpu"  # of torch
-
-    @contextmanager
-    def workers(self, count: int | None) -> Iterator[Workers]:
-        """Open workers for ``count`` items (None: unknown); ConfigError where Ray is missing."""
-        if self.engine == "local":
-            yield make_workers(self.jobs, count, self.device)
-            return
-        from roadtorch.run.ray_workers import ray_workers
-
-        address = None if self.engine == "ray" else self.engine
-        with ray_workers(self.jobs or count_processors(), address, self.device) as workers:
-            yield workers
 
 
 class Writers(NamedTuple):

@@ -22,7 +22,7 @@ from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSetting
 from roadtorch.run.ledger import DONE, DOUBTFUL, FAILED, PARTIAL, IndexRow, Ledger, open_ledger
 from roadtorch.run.loop import Inference, Task, crashed_evidence, crashed_row, run_behind
 from roadtorch.run.plan import Output, Plan, RunOptions
-from roadtorch.run.workers import Workers
+from roadtorch.run.workers import Workers, make_workers
 
 LEAST_TRUSTED = 5  # number of least trusted images that are listed at the end of a run
 
@@ -174,10 +174,8 @@ def open_run(out: Path, effective: str, plan: Plan, options: RunOptions) -> Iter
 
     effective: all settings as TOML, written to config.toml.
     """
-    with (
-        options.workers(plan.image_count) as workers,
-        open_ledger(out, effective, options.overwrite, plan.results) as ledger,
-    ):
+    workers = make_workers(options.jobs, plan.image_count, options.device)
+    with open_ledger(out, effective, options.overwrite, plan.results) as ledger:
         yield Run(ledger, workers, options)
 
 

@@ -57,16 +57,12 @@ class WorkerCrashError(Exception):
 
 @dataclass(frozen=True)
 class Workers:
-    """Workers: ``jobs`` processes (one: this process itself), or what ``start`` makes for a task.
+    """Workers: ``jobs`` processes (one: this process itself).
 
-    A worker has at most one item, so that its death costs only that: it gets one by ``send``, and
-    ``receive`` returns the result, or raises WorkerCrashError. ``wait`` returns those of several
-    workers that have one, after a timeout in seconds at the latest; ``stop`` ends a worker.
+    A worker has at most one item, so that its death costs only that.
     """
 
     jobs: int = 1
-    start: Callable[[TaskFunction], Any] | None = None
-    wait: Callable[[Any, float | None], Iterable[Any]] = connection.wait
 
     def map(
         self,
@@ -82,21 +78,22 @@ class Workers:
         pickled for other processes. Closing the generator stops the workers. Raises InputError
         where a process cannot be started.
         """
-        if self.start is None and self.jobs == 1:
+        if self.jobs == 1:
             yield from map(task, items)
             return
         items, end = iter(items), None
-        stopping, idle = ExitStack(), list[Any]()
-        busy: dict[Any, tuple[_Item, Future[_Result]]] = {}
+        stopping, idle = ExitStack(), list[_Process]()
+        busy = dict[Any, tuple[_Item, Future[_Result]]]()  # by worker
         pending: deque[Future[_Result]] = deque()
 
-        def start() -> Any:
-            worker = (self.start or _Process)(task)
+        def start() -> _Process:
+            worker = _Process(task)
             stopping.callback(worker.stop)
             return worker
 
         def collect(timeout: float | None = None) -> None:
-            for worker in self.wait([*busy], timeout):
+            ready: list[Any] = connection.wait([*busy], timeout)
+            for worker in ready:
                 item, future = busy.pop(worker)
                 try:
                     future.set_result(worker.receive())

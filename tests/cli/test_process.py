@@ -11,7 +11,7 @@ from roadtorch.testing.scenes import render_scene, write_image
 COMMAND = [sys.executable, "-m", "roadtorch"]
 
 UNUSED = (
-    *("torchvision", "matplotlib", "skimage", "sklearn", "pandas", "jinja2", "ray", "onnx"),
+    *("torchvision", "matplotlib", "skimage", "sklearn", "pandas", "jinja2", "onnx"),
     *("onnxruntime", "av", "rosbags", "starlette", "scipy.optimize", "scipy.stats"),
     *("torch._dynamo", "torch._inductor"),
 )

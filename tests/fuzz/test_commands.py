@@ -32,8 +32,8 @@ PLAIN_WORDS = """
 """
 ODD_WORDS = ("", " ", "x" * 300, "\udcff.png", "a\nb", "\N{GRINNING FACE}")
 WORDS = (*PLAIN_WORDS.split(), *ODD_WORDS)
-SKIPPED = {"--view", "--engine", "--help", "--debug"}
-"""Options that serve until they are stopped, or start Ray."""
+SKIPPED = {"--view", "--help", "--debug"}
+"""Options that serve until they are stopped."""
 
 RAW_ERROR = r"bug in roadtorch|Traceback|\b[A-Z]\w+(Error|Exception): "
 

@@ -5,7 +5,6 @@ import json
 import os
 import shlex
 import struct
-import sys
 import tomllib
 import zlib
 from collections.abc import Sequence
@@ -347,7 +346,6 @@ KINDS = "--save json,polygons,cues"
         (r"1\xff.png " + os.fsdecode(b"1\xff.png"), f"infer in {KINDS}", r"in/1\xff.png and in/1"),
         ("b.png", "infer gone/", "gone: does not exist ("),
         ("b.png", "infer ''", "'': is an empty name (give a file or a folder)"),
-        ("b.png", "infer in --engine ray", "--engine ray: Ray is not installed (pip install 'road"),
         ("b.png", "infer in --out s3://bucket/out", "s3:/bucket/out: is an address (give a local"),
         ("b.png", "infer in --out locked", "locked: another run is writing here (wait for it, or "),
         ("b.png", "label in --out in", "in/b.png: is one of the input images (give another --out)"),
@@ -357,7 +355,6 @@ def test_refusals(
     names: str, line: str, message: str, call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "ray", None)
     Path("locked").mkdir()
     handle = os.open("locked", os.O_RDONLY)
     fcntl.flock(handle, fcntl.LOCK_EX)

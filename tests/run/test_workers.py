@@ -106,10 +106,14 @@ class InlineWorker:
 
 
 @pytest.mark.parametrize(("live", "ahead"), [(True, 1), (False, MAX_AHEAD * 2)])
-def test_results_of_a_live_source_come_before_its_next_item(live: bool, ahead: int) -> None:
+def test_results_of_a_live_source_come_before_its_next_item(
+    live: bool, ahead: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "_Process", InlineWorker)
+    monkeypatch.setattr(workers.connection, "wait", lambda busy, _: busy)
     items = iter(range(9))
 
-    results = Workers(2, InlineWorker, lambda busy, _: busy).map(abs, items, abs, live)
+    results = Workers(2).map(abs, items, abs, live)
 
     assert [next(results) for _ in range(3)] == [0, 1, 2]
     assert next(items) == 2 + ahead
