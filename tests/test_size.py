@@ -26,7 +26,7 @@ LINES = {
     "roadtorch/imaging": 1_062,
     "roadtorch/inputs": 1_509,
     "roadtorch/layout": 1_671,
-    "roadtorch/oneclass": 1_746,
+    "roadtorch/oneclass": 1_745,
     "roadtorch/road": 1_519,
     "roadtorch/ros": 534,
     "roadtorch/run": 2_198,

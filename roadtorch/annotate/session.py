@@ -135,7 +135,7 @@ class Session:
     # --- all images ---------------------------------------------------------------------
 
     def listing(self) -> list[dict[str, Any]]:
-        """List all images with name, trust, number of events, and whether confirmed.
+        """List all images with name, trust, numbers of effective and of all events, and state.
 
         The least trusted come first, then those of unknown trust, confirmed ones last.
         """

@@ -216,7 +216,7 @@ def contender_from_maps(name: str, folder: Path) -> Contender:
 
 
 def _prepare_maps(folder: Path, decision: DetectorSettings, dataset: Dataset) -> Predictor:
-    """Return the reader of maps, after a look at all for the level that is 1.
+    """Return the reader of maps, all of which are read for the grey level of likelihood 1.
 
     Raises InputError without any map, and for a map that two images would share.
     """

@@ -48,18 +48,18 @@ def sample_weights(groups: Sequence[str], generator: torch.Generator) -> Tensor:
 
 
 def student_weights(
-    values: int, generator: torch.Generator, replicates: int | None = None
+    count: int, generator: torch.Generator, replicates: int | None = None
 ) -> Tensor:
-    """Draw weights of few values, float64 (replicates, values): each row sums to ``values``.
+    """Draw weights of few values, float64 (replicates, count): each row sums to ``count``.
 
-    The weighted mean of values is their mean plus their standard error times a t of values - 1
+    The weighted mean of values is their mean plus their standard error times a t of count - 1
     degrees of freedom, so that a percentile interval is Student's; ours. Weights may be negative.
     """
-    shape = (REPLICATES if replicates is None else replicates, values)
+    shape = (REPLICATES if replicates is None else replicates, count)
     normal = torch.randn(shape, generator=generator, dtype=torch.float64)
-    freedom = torch.randn((shape[0], values - 1), generator=generator, dtype=torch.float64)
-    scale = (values / freedom.square().sum(1, keepdim=True)).sqrt()
-    return 1 + (normal - normal.mean(1, keepdim=True)) * (scale if values > 1 else 0)
+    further = torch.randn((shape[0], count - 1), generator=generator, dtype=torch.float64)
+    scale = (count / further.square().sum(1, keepdim=True)).sqrt()
+    return 1 + (normal - normal.mean(1, keepdim=True)) * (scale if count > 1 else 0)
 
 
 def pooled_f(counts: Tensor, weights: Tensor) -> Tensor:

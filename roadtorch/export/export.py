@@ -51,7 +51,7 @@ UNKNOWN_TERMS = "those of the author of the weights"
 OUTPUT_DESCRIPTIONS: Mapping[str, str] = {
     "likelihood": "float32 (N, H, W): likelihood of road, 0 to 1",
     "layout": "float32 (N, 3, H, W): sky, vertical, horizontal, 0 to 1",
-    "ego": "float32 (N, H, W): vehicle that carries the camera, 0 to 1",
+    "ego": "float32 (N, H, W): vehicle that carries the camera, 0 or 1",
     "seed_area": "float32 (N, H, W): road that isolated road does not touch, 0 or 1",
     "trust": "float32 (N): predicted F-score of the mask, 0 to 1",
     "mask": "uint8 (N, H, W): 1 road, 0 not",
@@ -102,7 +102,10 @@ def find_part(detector: Detector) -> ExportPart:
             f"filling of thin holes, {ISOLATED_ROAD_STEP}",
             partial(fusion_maps, analysis, settings),
             ("likelihood", "layout", "ego", "seed_area", "trust"),
-            ("weights", "second", "threshold", "calibration", "crops", "working", "seed_area"),
+            (
+                *("weights", "second", "threshold", "calibration", "crops", "working"),
+                *("seed_area", "appearance"),
+            ),
             tuple(
                 weights_path(file)
                 for file in (settings.weights.file or DEFAULT_WEIGHTS, settings.second.file)
@@ -254,7 +257,7 @@ def write_onnx(
 ) -> None:
     """Write a graph from images uint8 (N, H, W, 3) RGB to the outputs; needs onnx and onnxscript.
 
-    The same part and metadata give the same bytes on every machine.
+    The same part, metadata and versions of packages give the same bytes on every machine.
     """
 
     def compute(image: Tensor) -> Mapping[str, Tensor]:

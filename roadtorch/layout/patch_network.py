@@ -48,7 +48,10 @@ class Topology(Settings):
         description="maps of the first layer connected to each second kernel; 0: all",
     )
     size1: int = Field(
-        default=7, ge=MIN_KERNEL, le=MAX_KERNEL, description="side of the first kernels, pixels"
+        default=7,
+        ge=MIN_KERNEL,
+        le=MAX_KERNEL,
+        description="side of the first kernels, pixels; odd",
     )
     size2: int = Field(
         default=7, ge=MIN_KERNEL, le=MAX_KERNEL, description="side of the second kernels, pixels"

@@ -39,11 +39,10 @@ def smallest_ball(gram: np.ndarray, caps: np.ndarray) -> np.ndarray:
     Minimises aᵀ G a with Σ a = 1, 0 ≤ a_i ≤ caps_i: the dual of min R² + C Σ ξ for samples of equal
     norm. Sequential minimal optimisation: the most violating weight moves with the one that gains
     most (Fan, Chen and Lin, JMLR 2005), until no pair violates optimality by more than
-    ``VIOLATION`` of the kernel's range, or a hundred times that where the kernel is much wider than
-    the gaps between samples and much narrower than all of them.
+    ``VIOLATION`` of the kernel's range, or for 1000 + 200 k steps.
 
     Args:
-        gram: kernel matrix of the samples, up to a constant, shape (k, k).
+        gram: kernel matrix of the samples, up to an additive constant, shape (k, k).
         caps: C times the count of each sample, with a sum ≥ 1, shape (k,).
     """
     weights = np.minimum(caps, np.maximum(0.0, 1 - np.cumsum(caps) + caps))

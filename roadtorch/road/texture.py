@@ -27,13 +27,13 @@ MIN_RANGE = 1e-4
 
 
 def minimum_variance_weights(samples: Tensor, ridge: float = 0.0) -> Tensor:
-    """Compute the weights (N,), of sum 1, whose combination of planes has the least variance.
+    """Compute the weights (N,), of sum 1, of least variance among combinations of planes that vary.
 
-    w = Σ⁺1 / (1ᵀΣ⁺1), P2 eq. 3 with the pseudo-inverse: P2's nine planes are linearly dependent
-    (R - G - √2·O1 = 0, R + G - 2B - √6·O2 = 0), so its Σ has no inverse, and a combination of sum 1
-    that is 0 in every image would have the least variance (docs/how/layout_texture.md). ``ridge``
-    times the mean variance is added to the diagonal of Σ, which then has an inverse; ours. The
-    weights are equal where no plane varies.
+    w = Σ⁺1 / (1ᵀΣ⁺1), P2 eq. 3 with the pseudo-inverse of the covariance Σ: P2's nine planes are
+    linearly dependent (R - G - √2·O1 = 0, R + G - 2B - √6·O2 = 0), so its Σ has no inverse, and a
+    combination of sum 1 that is 0 in every image would have the least variance
+    (docs/how/layout_texture.md). ``ridge`` times the mean variance is added to the diagonal of Σ,
+    which then has an inverse; ours. The weights are equal where no plane varies.
 
     samples: K pixels of N planes, (K, N). Solved in float64.
     """

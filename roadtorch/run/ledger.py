@@ -194,9 +194,10 @@ def open_ledger(
     name, see ``claim_results``; None for those of the run itself.
 
     Raises:
-        InputError: The folder is locked or cannot be written, or index.csv is damaged.
-        ConfigError: A file is not by roadtorch; or, unless ``overwrite``, of another input. Results
-            of other settings: this run would skip what is done, and mix its results with them.
+        InputError: The folder is locked, was moved during the run or cannot be written, config.toml
+            cannot be read, or index.csv is damaged.
+        ConfigError: A file is not by roadtorch; or, unless ``overwrite``, of another input, or the
+            results are of other settings, with which those of this run would mix.
     """
     config = out / INFER_CONFIG
 

@@ -239,15 +239,18 @@ class Augmentation(Settings):
 class TrainingRound(Settings):
     """A round of a self-training."""
 
-    network: Literal["", BackboneName] = Field(
+    backbone: Literal["", BackboneName] = Field(
         default="",
         description="backbone of the network that learns in the round; empty: network.backbone",
     )
     epochs: int = Field(default=1, ge=1, le=10**5, description="epochs of the round")
     learning_rate: float = Field(
-        default=0.0, ge=0, le=100, description="initial learning rate; 0: that of [descent]"
+        default=0.0,
+        ge=0,
+        le=100,
+        description="learning rate before the round's warm-up and schedule; 0: that of [descent]",
     )
-    backbone: float = Field(
+    backbone_factor: float = Field(
         default=1.0, ge=0, le=10, description="factor on the backbone's learning rate; 0: frozen"
     )
     target: float = Field(
@@ -328,7 +331,7 @@ class SelfTraining(CommonTraining):
 
     def backbone_of(self, number: int) -> BackboneName:
         """Return the backbone of the network that learns in a round, from 1."""
-        return self.rounds[number - 1].network or self.network.backbone
+        return self.rounds[number - 1].backbone or self.network.backbone
 
     def newest_rounds(self, number: int) -> dict[BackboneName, int]:
         """Return the last round before a round, from 1, of each backbone that has one."""
@@ -384,7 +387,7 @@ def check_initial_weights(settings: ImageTraining | SelfTraining) -> None:
     initial, backbones = settings.initial_weights, {"network.backbone": settings.network.backbone}
     if isinstance(settings, SelfTraining):
         for number, _ in enumerate(settings.rounds):
-            backbones[f"rounds.{number}.network"] = settings.backbone_of(number + 1)
+            backbones[f"rounds.{number}.backbone"] = settings.backbone_of(number + 1)
     for key, backbone in backbones.items():
         if settings.is_new and (initial == IMAGENET) == (backbone == "none"):
             message = f"is {initial or 'empty'}, but {key} is {backbone}"

@@ -264,7 +264,7 @@ class SelfTrainingRecipe(Recipe):
 
     def parameter_groups(self, network: nn.Module, number: int) -> list[dict[str, Any]]:
         """Return heads and backbone; what is frozen needs no gradients."""
-        training, factor = self._training, self._training.rounds[number - 1].backbone
+        training, factor = self._training, self._training.rounds[number - 1].backbone_factor
         assert isinstance(network, BackboneNetwork)
         backbone = network.backbone
         backbone.requires_grad_(bool(factor))

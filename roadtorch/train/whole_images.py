@@ -300,7 +300,10 @@ def held_out_f(network: BackboneNetwork, files: Sequence[Path]) -> float:
 
 
 def image_loss(network: nn.Module, batch: Batch, training: ImageTraining) -> Tensor:
-    """Sum the mean losses of a batch's images, with soft or hard targets (``Teacher.targets``)."""
+    """Sum the losses of a batch's images; targets (B, 8, H, W) are averaged to the scores' size.
+
+    Hard targets (``Teacher.targets``) have one class and road 0 or 1; ego car and weights stay.
+    """
     scores = network(batch.inputs).float()
     small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
     targets = split_targets(small)
@@ -312,10 +315,10 @@ def image_loss(network: nn.Module, batch: Batch, training: ImageTraining) -> Ten
 
 
 def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tensor:
-    """Compute the loss of scores (B, 5, H, W): mean over pixels, summed over images.
+    """Compute the loss of scores (B, 5, H, W), summed over images.
 
-    It is the cross-entropy and, with the weight ``dice``, the road's Dice loss (Milletari et al.,
-    "V-Net", 3DV 2016).
+    It is the cross-entropy's mean over all pixels and, with the weight ``dice``, the road's Dice
+    loss (Milletari et al., "V-Net", 3DV 2016) of each image.
     """
 
     def binary(scores: Tensor, targets: Tensor) -> Tensor:

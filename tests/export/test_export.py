@@ -109,6 +109,15 @@ def test_a_file_names_custom_weights(tmp_path: Path) -> None:
     assert notes["terms"].startswith("those of the author of the weights")
 
 
+def test_the_weight_of_the_appearance_reaches_the_exported_maps() -> None:
+    image = torch.from_numpy(images(60, 80)).permute(0, 3, 1, 2) / 255
+    detectors = [load_detector(NAME, appearance={"weight": weight}) for weight in (1.0, 0.0)]
+
+    first, second = (exportable_part(entry).compute(image)["likelihood"] for entry in detectors)
+
+    assert not torch.equal(first, second)
+
+
 def test_one_detector_gives_one_file(cnn7: ExportResult, tmp_path: Path) -> None:
     again, detector = tmp_path / "again.onnx", load_detector("layout:cnn-7")
 

@@ -85,11 +85,11 @@ ego_car = 0.5
 
 [[rounds]]
 epochs = 1
-backbone = 0.0
+backbone_factor = 0.0
 
 [[rounds]]
 epochs = 1
-backbone = 0.4
+backbone_factor = 0.4
 target = 0.5
 
 [descent]

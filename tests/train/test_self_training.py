@@ -119,8 +119,8 @@ def test_two_backbones_learn_in_turn_from_their_labels(
     for name in ("lite0", "lite2"):
         write_wheel(tmp_path, name, Backbone(BACKBONES[name]))
     monkeypatch.syspath_prepend(tmp_path)
-    rounds = [{"network": name, "backbone": 0.0} for name in ("lite0", "lite2")]
-    rounds += [{"network": "lite0", "backbone": 0.0, "target": 0.5}]
+    rounds = [{"backbone": name, "backbone_factor": 0.0} for name in ("lite0", "lite2")]
+    rounds += [{"backbone": "lite0", "backbone_factor": 0.0, "target": 0.5}]
     changes = {"initial_weights": "imagenet", "network": {"backbone": "lite2"}, "rounds": rounds}
     training = build_training(merge(as_values(training_of("self-training")), changes))
     request = replace(request_of_run, out=tmp_path / "run")
@@ -293,12 +293,12 @@ def test_borders_of_road_and_vertical_weigh_where_truth_is_exact() -> None:
             "rounds.0.target: is not 0, but no network",
         ),
         (
-            {"initial_weights": "imagenet", "rounds": [{}, {"network": "none"}]},
-            "initial_weights: is imagenet, but rounds.1.network is none",
+            {"initial_weights": "imagenet", "rounds": [{}, {"backbone": "none"}]},
+            "initial_weights: is imagenet, but rounds.1.backbone is none",
         ),
         (
-            {"initial_weights": "backbone-free", "rounds": [{}, {"network": "lite2"}]},
-            "rounds.1.network: is lite2, but initial_weights has one network",
+            {"initial_weights": "backbone-free", "rounds": [{}, {"backbone": "lite2"}]},
+            "rounds.1.backbone: is lite2, but initial_weights has one network",
         ),
         ({"sizes": [[100, 64]]}, "sizes.0.0: 100 was given .*multiple of 32"),
     ],

@@ -1,7 +1,7 @@
 """Charts of an evaluation: ROC, reliability, and F by group, each as an SVG image inside a page.
 
-Colours are those of Okabe and Ito, "Color Universal Design" (2008), and every detector has
-a dash pattern too. The same scores give the same bytes: no dates, no fonts.
+Colours are those of Okabe and Ito, "Color Universal Design" (2008), and every detector's line has
+a dash pattern too. The same scores give the same bytes: no dates, no embedded fonts.
 """
 
 import base64
