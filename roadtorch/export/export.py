@@ -58,6 +58,8 @@ OUTPUT_DESCRIPTIONS: Mapping[str, str] = {
 }
 """Outputs of the files, by name."""
 
+UNUSED_SETTINGS = ("isolated", "ego", "rectification", "outlines", "trust")
+
 
 @dataclass(frozen=True)
 class ExportPart:
@@ -65,14 +67,14 @@ class ExportPart:
 
     description: the part, in words. missing: steps that only Python does. compute: maps an image
     (3, H, W) in [0, 1], while traced a batch (N, 3, H, W), to the outputs by name. outputs: keys
-    of ``OUTPUT_DESCRIPTIONS``. settings: keys that it uses. weights: files of its networks.
+    of ``OUTPUT_DESCRIPTIONS``. unused: keys of settings. weights: files of its networks.
     """
 
     description: str
     missing: str
     compute: MapFunction
     outputs: tuple[str, ...]
-    settings: tuple[str, ...]
+    unused: tuple[str, ...]
     weights: tuple[Path, ...]
 
 
@@ -81,12 +83,10 @@ def exportable_part(detector: Detector) -> ExportPart:
 
     Raises ConfigError for a detector that has none, and for settings that it does not use.
     """
-    part, defaults = (
-        find_part(detector),
-        detector_entry(detector.name).make_settings({}).model_dump(),
-    )
+    part = find_part(detector)
+    defaults = detector_entry(detector.name).make_settings({}).model_dump()
     for key, value in detector.settings.model_dump().items():
-        if key not in part.settings and value != defaults[key]:
+        if key in part.unused and value != defaults[key]:
             raise ConfigError(key, "has no effect on the exported file", "leave it out")
     if detector.runtime != REFERENCE:
         raise ConfigError("runtime", "has no effect on the exported file", "leave it out")
@@ -102,10 +102,7 @@ def find_part(detector: Detector) -> ExportPart:
             f"filling of thin holes, {ISOLATED_ROAD_STEP}",
             partial(fusion_maps, analysis, settings),
             ("likelihood", "layout", "ego", "seed_area", "trust"),
-            (
-                *("weights", "second", "threshold", "calibration", "crops", "working"),
-                *("seed_area", "appearance"),
-            ),
+            UNUSED_SETTINGS,
             tuple(
                 weights_path(file)
                 for file in (settings.weights.file or DEFAULT_WEIGHTS, settings.second.file)
@@ -118,7 +115,7 @@ def find_part(detector: Detector) -> ExportPart:
             ISOLATED_ROAD_STEP,
             partial(cnn7_maps, analysis, settings),
             ("likelihood", "layout"),
-            ("weights", "threshold", "working"),
+            (*UNUSED_SETTINGS, "seed_area"),
             (weights_path(settings.weights.file or "cnn-7"),),
         )
     else:

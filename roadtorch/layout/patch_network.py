@@ -48,10 +48,7 @@ class Topology(Settings):
         description="maps of the first layer connected to each second kernel; 0: all",
     )
     size1: int = Field(
-        default=7,
-        ge=MIN_KERNEL,
-        le=MAX_KERNEL,
-        description="side of the first kernels, pixels; odd",
+        default=7, ge=MIN_KERNEL, le=MAX_KERNEL, description="odd side of first kernels, pixels"
     )
     size2: int = Field(
         default=7, ge=MIN_KERNEL, le=MAX_KERNEL, description="side of the second kernels, pixels"

@@ -194,8 +194,7 @@ def open_ledger(
     name, see ``claim_results``; None for those of the run itself.
 
     Raises:
-        InputError: The folder is locked, was moved during the run or cannot be written, config.toml
-            cannot be read, or index.csv is damaged.
+        InputError: The folder is locked, moved or cannot be written, or a file of it is damaged.
         ConfigError: A file is not by roadtorch; or, unless ``overwrite``, of another input, or the
             results are of other settings, with which those of this run would mix.
     """

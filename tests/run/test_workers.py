@@ -32,8 +32,7 @@ from tests.command import ROWS, save_image
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are copies of a process")
 
-Result = tuple[int, int]
-"""Number of an item and its process, 0 where that died."""
+Result = tuple[int, int]  # number of an item and its process, 0 where that died
 
 
 def work(number: int, deadly: tuple[int, ...] = ()) -> Result:
@@ -93,14 +92,10 @@ class InlineWorker:
     """A worker whose result is there at once."""
 
     def __init__(self, task: Callable[[Any], Any]) -> None:
-        self.task = task
-        self.result: Any = None
+        self.task = self.receive = task
 
     def send(self, item: object) -> None:
-        self.result = self.task(item)
-
-    def receive(self) -> Any:
-        return self.result
+        self.receive = partial(self.task, item)
 
     def stop(self) -> None: ...
 

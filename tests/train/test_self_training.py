@@ -131,11 +131,7 @@ def test_two_backbones_learn_in_turn_from_their_labels(
 
     assert train(training, request).weights
 
-    networks = list[BackboneNetwork]()
-    for number in (1, 2, 3):
-        network = load_network(round_weights(request.out, number))
-        assert isinstance(network, BackboneNetwork)
-        networks.append(network)
+    networks: list[Any] = [load_network(round_weights(request.out, k)) for k in (1, 2, 3)]
     assert [network.settings.backbone for network in networks] == ["lite0", "lite2", "lite0"]
     states = [network.backbone.state_dict() for network in networks]
     load_imagenet_weights(expected := Backbone(BACKBONES["lite2"]), "lite2")
