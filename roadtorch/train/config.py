@@ -159,7 +159,7 @@ class Teacher(Settings):
     """Source of the targets of whole images."""
 
     detector: str = Field(
-        default="fusion:untrained", description="teacher, a detector with a layout among its cues"
+        default="fusion", description="teacher, a detector with a layout among its cues"
     )
     weights: str = Field(
         default="", description="weights of the teacher's network; empty for the shipped ones"
@@ -175,9 +175,6 @@ class Teacher(Settings):
         ge=0,
         lt=1,
         description="least lead of the best class for a pixel's layout to count",
-    )
-    road_threshold: float = Field(
-        default=0.39, gt=0, lt=1, description="teacher's likelihood that becomes 0.5 in the target"
     )
     targets: Literal["hard", "soft"] = Field(
         default="hard",

@@ -1,13 +1,11 @@
 """Targets of whole-image networks: planes of layout, road and ego car with their weights. Ours."""
 
-import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, SKY
-from roadtorch.road.bayes import log_odds
 from roadtorch.train.config import Teacher
 
 EGO_CERTAIN = 0.8
@@ -50,12 +48,11 @@ def split_targets(planes: Tensor) -> Targets:
 def make_targets(teacher: Tensor, network: Tensor | None, settings: Teacher) -> Targets:
     """Compute targets from the maps (B, 4, H, W) of the teacher and (B, 5, H, W) of a network.
 
-    Road likelihoods are shifted so that their threshold becomes 0.5. Weights are 0 or 1: 1 where
-    the best class leads by ``margin`` and, with ``combine = "agreement"``, teacher and network
-    agree. There is an ego car where the network is certain of one; there road is 0 with weight 1,
-    and the layout has weight 0.
+    Weights are 0 or 1: 1 where the best class leads by ``margin`` and, with ``combine =
+    "agreement"``, teacher and network agree. There is an ego car where the network is certain of
+    one; there road is 0 with weight 1, and the layout has weight 0.
     """
-    layout, road = teacher[:, :NUM_CLASSES], centre_likelihood(teacher[:, NUM_CLASSES:], settings)
+    layout, road = teacher[:, :NUM_CLASSES], teacher[:, NUM_CLASSES:]
     agree, agree_road, ego = torch.ones_like(road), torch.ones_like(road), torch.zeros_like(road)
     if network is not None:
         network_layout, network_road, network_ego = network.split((NUM_CLASSES, 1, 1), 1)
@@ -79,9 +76,3 @@ def best_class(layout: Tensor) -> Tensor:
     ``argmax`` is ten times slower where the classes are not the last dimension.
     """
     return layout.max(1, keepdim=True).indices
-
-
-def centre_likelihood(likelihood: Tensor, settings: Teacher) -> Tensor:
-    """Shift likelihoods (B, 1, H, W) so that the threshold of road becomes 0.5."""
-    centre = math.log(settings.road_threshold / (1 - settings.road_threshold))
-    return (log_odds(likelihood) - centre).sigmoid()

@@ -13,7 +13,7 @@ from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.image_network import NUM_OUTPUTS
 from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.train.config import ImageTraining, Teacher, build_training
-from roadtorch.train.targets import centre_likelihood, make_targets
+from roadtorch.train.targets import make_targets
 from roadtorch.train.teachers import (
     label_with_network,
     network_maps,
@@ -25,26 +25,12 @@ from tests.draws import seeded_generator
 from tests.networks import SMALL_BACKBONE
 from tests.streets import scene
 
-EVEN = Teacher(margin=0.5, road_threshold=0.5)
+AGREEMENT = Teacher(margin=0.5)
 
 
 def maps_of(*pixels: tuple[float, ...]) -> torch.Tensor:
     """Return maps (1, C, 1, n) of n pixels: sky, vertical, horizontal, road, for networks ego."""
     return torch.tensor(pixels).T[None, :, None]
-
-
-# --- as likely road as not -----------------------------------------------------------------
-
-
-def test_the_threshold_becomes_one_half_and_the_ends_stay() -> None:
-    likelihood = torch.tensor([0.0, 0.2, 0.39, 0.8, 1.0]).reshape(1, 1, 1, 5)
-
-    moved = centre_likelihood(likelihood, Teacher(road_threshold=0.39)).flatten()
-
-    assert moved[[0, 2, 4]].tolist() == pytest.approx([0, 0.5, 1], abs=1e-3)
-    assert (moved.diff() > 0).all()
-    odds = moved[1] / (1 - moved[1])
-    assert float(odds) == pytest.approx((0.2 / 0.8) / (0.39 / 0.61), rel=1e-4)
 
 
 # --- where it counts -----------------------------------------------------------------------
@@ -53,14 +39,20 @@ def test_the_threshold_becomes_one_half_and_the_ends_stay() -> None:
 SURE = maps_of((0.9, 0.1, 0.0, 0.9), (0.9, 0.1, 0.0, 0.9), (0.1, 0.1, 0.8, 0.1))
 UNSURE = maps_of((0.9, 0.1, 0.0, 0.9), (0.5, 0.4, 0.1, 0.52), (0.2, 0.0, 0.8, 0.1))
 NETWORK = maps_of((0.8, 0.2, 0.0, 0.8, 0.0), (0.0, 1.0, 0.0, 0.1, 0.0), (0.0, 0.0, 1.0, 0.9, 0.0))
-ALONE = EVEN.model_copy(update={"combine": "teacher"})
+ALONE = AGREEMENT.model_copy(update={"combine": "teacher"})
 
 
 @pytest.mark.parametrize(
     ("teacher", "network", "settings", "expected", "counted"),
     [
-        (UNSURE, None, EVEN, UNSURE, ([1, 0, 1], [1, 1, 1])),  # only certain pixels count
-        (SURE, NETWORK, EVEN, (SURE + NETWORK[:, :4]) / 2, ([1, 0, 1], [1, 0, 0])),  # agreement
+        (UNSURE, None, AGREEMENT, UNSURE, ([1, 0, 1], [1, 1, 1])),  # only certain pixels count
+        (
+            SURE,
+            NETWORK,
+            AGREEMENT,
+            (SURE + NETWORK[:, :4]) / 2,
+            ([1, 0, 1], [1, 0, 0]),
+        ),  # agreement
         (SURE, NETWORK, ALONE, SURE, ([1, 1, 1], [1, 1, 1])),
     ],
 )
@@ -97,7 +89,7 @@ def test_the_ego_car_is_where_the_network_is_certain_of_it(
 ) -> None:
     maps = None if network is None else maps_of((*GROUND[:3], *network))
 
-    targets = make_targets(maps_of(GROUND), maps, EVEN)
+    targets = make_targets(maps_of(GROUND), maps, AGREEMENT)
 
     assert (targets.ego.item(), targets.ego_weight.item()) == (ego, 1)
     assert targets.road.item() == pytest.approx(road)
