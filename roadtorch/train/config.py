@@ -109,8 +109,8 @@ class CorrectionWeight(Settings):
     )
     held_out: Fraction = Field(
         default=0.0,
-        description="fraction of the corrected images that does not train a whole-image network, "
-        "but decides when to stop: whole recordings where they fit",
+        description="fraction of the corrected images that does not train, but "
+        "decides when to stop: whole recordings where they fit",
     )
     separator: str = Field(
         default="_", description="text before the frame number in names; empty for no recordings"
@@ -137,7 +137,6 @@ class PatchTraining(CommonTraining):
     """Training of a patch network, as P2 trains CNN-7."""
 
     name: ClassVar[str] = "patches"
-    corrections: CorrectionWeight = CorrectionWeight()
     network: PatchNetworkSettings = PatchNetworkSettings()
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()

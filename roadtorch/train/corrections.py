@@ -14,7 +14,7 @@ from roadtorch.inputs.item import Item
 from roadtorch.layout.pretrained import IMAGENET
 from roadtorch.layout.weights import read_correction_runs, weights_path
 from roadtorch.run.memo import Arrays, read_arrays, write_arrays
-from roadtorch.train.config import Descent, ImageTraining, PatchTraining, Training
+from roadtorch.train.config import Descent, ImageTraining, Training
 from roadtorch.train.prepared import image_file_name
 
 # --- corrections of a run ---------------------------------------------------------------
@@ -66,7 +66,7 @@ def corrections_summary(corrections: Mapping[str, HumanLabels]) -> dict[str, obj
     return {"images": len(corrections), "pixels": pixels, "sha256": digest.hexdigest()}
 
 
-def scale_learning_rate(training: PatchTraining | ImageTraining, corrected: int) -> Descent:
+def scale_learning_rate(training: ImageTraining, corrected: int) -> Descent:
     """Scale the learning rate by n / (n + half_rate_images) for n corrected images, if any. Ours.
 
     A few unrepresentative images then do less harm.

@@ -5,7 +5,7 @@ certain; at a random scale and angle, with Gaussian noise; squared error; no har
 """
 
 import math
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,9 +15,7 @@ from torch.nn import functional as F
 
 from roadtorch.base.errors import InputError
 from roadtorch.base.signals import StopRequest
-from roadtorch.data.corrections import HumanLabels
-from roadtorch.data.events import VOID_LABEL, layout_layer, road_layer
-from roadtorch.imaging.resize import resize_to_image, resize_to_work, spatial_size
+from roadtorch.imaging.resize import resize_to_work
 from roadtorch.imaging.segments import segment_mean, segment_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import NUM_CLASSES, UNLABELLED
@@ -25,7 +23,6 @@ from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.patch_network import normalise
 from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
 from roadtorch.train.config import PatchCentres, PatchTraining
-from roadtorch.train.corrections import scale_learning_rate
 from roadtorch.train.effects import uniform
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.training_loop import (
@@ -71,49 +68,6 @@ def label_centres(image: Tensor, labels: Tensor, training: PatchTraining) -> Arr
         "centres": centres[is_labelled].to(torch.int16),
         "classes": classes[is_labelled].to(torch.uint8),
     }
-
-
-# --- corrections ------------------------------------------------------------------------
-
-
-CORRECTION_SPACING = 8
-"""Pixels at working size between patches in corrected areas, about the distance of superpixels."""
-
-
-def correct_centres(prepared: Arrays, correction: HumanLabels, weight: float) -> Arrays:
-    """Replace the centres in corrected areas by a grid of centres with the corrected classes.
-
-    Machine labels are dropped at corrected layouts and void. prepared: of ``label_centres``.
-    weight: of a corrected patch in the loss; ``weights``, float32 (n,), are those of all.
-    """
-    size = spatial_size(prepared["image"])
-    layout = resize_to_image(torch.from_numpy(layout_layer(correction.labels)), size)
-    void = resize_to_image(torch.from_numpy(road_layer(correction.labels) == VOID_LABEL), size)
-    centres, classes = prepared["centres"], prepared["classes"]
-    rows, columns = centres.long().unbind(1)
-    is_machine = ~((layout != UNLABELLED) | void)[rows, columns]
-    positions = torch.zeros_like(void)
-    grid = slice(CORRECTION_SPACING // 2, None, CORRECTION_SPACING)
-    positions[grid, grid] = True
-    added = (positions & (layout != UNLABELLED)).nonzero()
-    added_classes = layout[added[:, 0], added[:, 1]].to(classes.dtype)
-    weights = torch.ones(int(is_machine.sum())), torch.full((len(added),), weight)
-    return {
-        "image": prepared["image"],
-        "centres": torch.cat([centres[is_machine], added.to(centres.dtype)]),
-        "classes": torch.cat([classes[is_machine], added_classes]),
-        "weights": torch.cat(weights),
-    }
-
-
-def oversample(files: Sequence[Path], corrected: Container[Path], fraction: float) -> list[Path]:
-    """Repeat corrected files until they are about ``fraction`` of all; at 1, keep them alone."""
-    corrected_files = [file for file in files if file in corrected]
-    machine_count = len(files) - len(corrected_files)
-    if not corrected_files or not machine_count or fraction == 1:
-        return corrected_files if corrected_files and fraction == 1 else list(files)
-    times = max(1, round(fraction * machine_count / ((1 - fraction) * len(corrected_files))))
-    return [file for file in files for _ in range(times if file in corrected else 1)]
 
 
 # --- extraction -------------------------------------------------------------------------
@@ -204,7 +158,6 @@ class PatchChunk(NamedTuple):
     params: Variation
     noise: Tensor  # of ``sample_noise``
     classes: Tensor  # (n,)
-    weights: Tensor  # of each patch in the loss, (n,)
     steps: tuple[Tensor, ...]  # the patches of each step
 
 
@@ -239,13 +192,13 @@ class PatchSamples:
         members = order[group * training.shuffle_images :][: training.shuffle_images].tolist()
         labelled = [self._read_centres(member, epoch, visit) for member in members]
         generator = make_generator(training.random_seed, PATCH_VARIATION, epoch, chunk)
-        centres, classes, weights = (torch.cat(parts) for parts in zip(*labelled, strict=True))
+        centres, classes = (torch.cat(parts) for parts in zip(*labelled, strict=True))
         params = sample_variation(centres, generator)
         noise = sample_noise(training.network.topology.patch, generator)
         shuffled = torch.randperm(len(classes), generator=generator)
         steps = shuffled.tensor_split(max(1, round(len(classes) / training.descent.batch)))
-        counts = [len(part) for part, _, _ in labelled]
-        return PatchChunk(members, counts, params, noise, classes.long(), weights, steps)
+        counts = [len(part) for part, _ in labelled]
+        return PatchChunk(members, counts, params, noise, classes.long(), steps)
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
         """Yield the patches of a chunk in batches of nearly the same size."""
@@ -253,8 +206,7 @@ class PatchSamples:
         self._fill_buffer(sampled)
         for step in sampled.steps:
             if len(step):
-                patches = self._buffer.index_select(0, step)
-                yield Batch(patches, sampled.classes[step], sampled.weights[step])
+                yield Batch(self._buffer.index_select(0, step), sampled.classes[step])
 
     def _fill_buffer(self, chunk: PatchChunk) -> None:
         """Fill the buffer with the patches of a chunk."""
@@ -271,22 +223,21 @@ class PatchSamples:
                 add_noise(patches, part, chunk.noise, gain, self._buffer[block])
             start += count
 
-    def _read_centres(self, member: int, epoch: int, visit: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Return centres, classes and weights of an image's patches at one visit in an epoch."""
+    def _read_centres(self, member: int, epoch: int, visit: int) -> tuple[Tensor, Tensor]:
+        """Return centres and classes of an image's patches at one visit in an epoch."""
         arrays = self._read(self._files[member])
         count = len(arrays["classes"])
         order = self._permute(count, CENTRES, epoch, member)[visit :: self._training.passes]
-        weights = arrays.get("weights", torch.ones(count))
-        return arrays["centres"][order], arrays["classes"][order], weights[order]
+        return arrays["centres"][order], arrays["classes"][order]
 
     def _permute(self, count: int, *key: int) -> Tensor:
         return torch.randperm(count, generator=make_generator(self._training.random_seed, *key))
 
 
 def squared_error(network: nn.Module, batch: Batch) -> Tensor:
-    """Sum |potentials - one-hot|² over patches, weighted. P2, section 3.1."""
+    """Sum |potentials - one-hot|² over patches. P2, section 3.1."""
     one_hot = F.one_hot(batch.targets, NUM_CLASSES).to(batch.inputs)
-    return ((network(batch.inputs) - one_hot).square().sum(1) * batch.weights).sum()
+    return (network(batch.inputs) - one_hot).square().sum()
 
 
 # --- recipe ----------------------------------------------------------------------------
@@ -297,15 +248,15 @@ class PatchRecipe(Recipe):
 
     loss = staticmethod(squared_error)
 
-    def __init__(self, training: PatchTraining, corrected: int = 0) -> None:
-        super().__init__(scale_learning_rate(training, corrected), training.stopping)
+    def __init__(self, training: PatchTraining) -> None:
+        super().__init__(training.descent, training.stopping)
         self._training = training
         parts = training.model_dump(include={"superpixels", "labeller", "centres"})
         self.preparation = {**parts, "working": training.network.working.model_dump()}
 
     def key(self, image: Item) -> str:
         """Return the cache key of a prepared image."""
-        return cache_key(self.preparation, image.path, None)  # without an ego car
+        return cache_key(self.preparation, image.path)
 
     def prepare(self, image: Tensor, name: str) -> Arrays:
         """Resize an image (3, H, W) and label its patches: see ``label_centres``."""
@@ -314,12 +265,6 @@ class PatchRecipe(Recipe):
         layout = label_layout(small, training.labeller, working, training.superpixels)
         return label_centres(small, layout.labels, training)
 
-    def correct(self, prepared: Arrays, correction: HumanLabels) -> Arrays:
-        """Return a prepared image with a correction."""
-        return correct_centres(prepared, correction, self._training.corrections.weight)
-
     def make_samples(self, inputs: TrainingInputs, stop: StopRequest, quiet: bool) -> PatchSamples:
-        """Return the augmented patches of prepared images, corrected images oversampled."""
-        fraction = self._training.corrections.fraction
-        files = oversample(inputs.files, inputs.corrected, fraction)
-        return PatchSamples([inputs.corrected.get(file, file) for file in files], self._training)
+        """Return the augmented patches of prepared images."""
+        return PatchSamples(inputs.files, self._training)

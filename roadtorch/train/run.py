@@ -114,18 +114,17 @@ def make_recipe(training: Training, source: Sequence[Path] = (), corrected: int 
 
     Raises ConfigError for source images that are missing, and for any input without effect.
     """
+    if corrected and not isinstance(training, ImageTraining):
+        message = f"are for trainings of the kind {ImageTraining.name}"
+        raise ConfigError("--corrections", message, "leave them out, or give --config corrections")
     if isinstance(training, SelfTraining):
-        if corrected:
-            message = "have no part in a training on rendered worlds"
-            hint = "fine-tune its result with --config corrections"
-            raise ConfigError("--corrections", message, hint)
         return SelfTrainingRecipe(training, source)
     if source:
         message = f"is for trainings of the kind {SelfTraining.name}"
         raise ConfigError("--source", message, "leave it out, or give --config fusion")
     if isinstance(training, ImageTraining):
         return ImageRecipe(training, corrected)
-    return PatchRecipe(training, corrected)
+    return PatchRecipe(training)
 
 
 def make_network(training: Training) -> LayoutNetwork:

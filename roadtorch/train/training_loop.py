@@ -77,11 +77,10 @@ class TrainingInputs(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """The samples of one step: network inputs (n, …), and the loss's targets and weights."""
+    """The samples of one step: network inputs (n, …), and the loss's targets."""
 
     inputs: Tensor
     targets: Tensor
-    weights: Tensor
 
 
 @dataclass

@@ -93,7 +93,7 @@ class AugmentedImages(ABC):
             images, planes, training.augmentation, resize, self.ego_cars, generator
         )
         images, planes = self.finish(images, planes, members)
-        yield Batch(images, planes, torch.ones(len(images)))
+        yield Batch(images, planes)
 
     @abstractmethod
     def sample_resize(self, generator: torch.Generator) -> InputResize:

@@ -122,7 +122,7 @@ COMMANDS: Mapping[str, set[str]] = {
     "camera @a.mp4": set(),
     "train --images @a.png --config cnn7": {"image"},
     "train --images IMAGE --config @a.toml": {"empty"},
-    "train --images IMAGE --config cnn7 --corrections @corrections": set(),
+    "train --images IMAGE --config corrections --corrections @corrections": set(),
     "adapt @a.mp4": set(),
     f"evaluate camvid @camvid {PRIOR}": set(),
     f"evaluate camvid CAMVID {PRIOR} --conditions @a.csv": set(),

@@ -13,14 +13,12 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.cli.train import train_command
 from roadtorch.data.corrections import Correction, EventLog, LogHeader, log_path
 from roadtorch.layout.weights import count_corrected_images, read_correction_runs
-from roadtorch.train.config import Training
-from roadtorch.train.patches import correct_centres, oversample
 from roadtorch.train.run import Outcome, TrainingRequest, make_recipe, train
 from roadtorch.train.targets import Targets
 from roadtorch.train.whole_images import corrected_targets, reweight
 from tests.command import invoke_command
 from tests.train.conftest import Trained
-from tests.train.runs import PATCHES, training_of, write_config
+from tests.train.runs import IMAGES, training_of, write_config
 
 UNTOUCHED, ROAD, NOT_ROAD, VOID, SKY = range(5)
 
@@ -93,30 +91,6 @@ def test_corrected_images_get_their_share_of_the_visits() -> None:
     assert torch.equal(reweight(weights, corrected & False, 0.7), weights)
 
 
-def test_files_are_repeated_until_corrected_ones_are_their_share() -> None:
-    files = [Path(name) for name in "abcdefgh"]
-    corrected = {files[2]: Path("correction")}
-
-    assert oversample(files, corrected, 0.5).count(files[2]) == 7
-    assert len(oversample(files, corrected, 0.5)) == 14
-    assert oversample(files, corrected, 1.0) == [files[2]]
-    assert oversample(files, {}, 0.5) == oversample(files, {}, 1.0) == files
-
-
-def test_patches_are_taken_where_people_named_a_class() -> None:
-    places = torch.tensor([[2, 2], [2, 60], [40, 2], [40, 60]], dtype=torch.int16)
-    image, classes = torch.zeros(3, 48, 64), torch.ones(4, dtype=torch.uint8)
-    prepared = {"image": image, "centres": places, "classes": classes}
-
-    corrected = correct_centres(prepared, correction(quarters(48, 64)), 2.5)
-
-    centres, classes, weights = (corrected[name] for name in ("centres", "classes", "weights"))
-    assert centres[:2].tolist() == [[2, 60], [40, 60]]  # the others were spoken of
-    assert set(classes[2:].tolist()) == {0, 2}
-    assert len(classes) == 2 + 24
-    assert weights.tolist() == [1, 1, *[2.5] * 24]
-
-
 # --- runs ----------------------------------------------------------------------------------
 
 
@@ -126,31 +100,27 @@ def street(streets: Path) -> Correction:
 
 
 @pytest.fixture(scope="module")
-def runs(trained: Trained, street: Correction) -> dict[str, Outcome]:
-    return {
-        kind: trained(kind, out=f"corrected-{kind}", corrections=[street])
-        for kind in ("patches", "images")
-    }
+def run(trained: Trained, street: Correction) -> Outcome:
+    return trained("images", out="corrected", corrections=[street])
 
 
 def test_a_run_paces_its_steps_by_the_corrected_images(
-    trained: Trained, runs: dict[str, Outcome], street: Correction
+    trained: Trained, run: Outcome, street: Correction
 ) -> None:
     """Check that one corrected image and a huge half-rate count hardly change the weights."""
     slow = trained("images", "corrections.half_rate_images=1e6", out="slow", corrections=[street])
     still = trained("images", "descent.learning_rate=1e-12", out="still", corrections=[street])
     slowly, fast, start = (
-        torch.load(Path(run.weights or "").with_name("checkpoint.pt"), weights_only=True)["network"]
-        for run in (slow, runs["images"], still)
+        torch.load(Path(end.weights or "").with_name("checkpoint.pt"), weights_only=True)["network"]
+        for end in (slow, run, still)
     )
     for name, weight in start.items():
         torch.testing.assert_close(slowly[name], weight, atol=1e-6, rtol=0)
     assert any(not fast[name].allclose(weight) for name, weight in start.items())
 
 
-@pytest.mark.parametrize("kind", ["patches", "images"])
-def test_weights_say_that_people_corrected_images(kind: str, runs: dict[str, Outcome]) -> None:
-    weights = runs[kind].weights
+def test_weights_say_that_people_corrected_images(run: Outcome) -> None:
+    weights = run.weights
     assert weights is not None
     (summary,) = read_correction_runs(weights)
     assert (summary["images"], summary["pixels"]) == (1, 3 * 60 * 80 // 4)
@@ -160,11 +130,11 @@ def test_weights_say_that_people_corrected_images(kind: str, runs: dict[str, Out
     assert json.loads((weights.parent / "run.json").read_text())["corrections"] == summary
 
 
-def test_what_starts_there_is_not_label_free(trained: Trained, runs: dict[str, Outcome]) -> None:
-    first = runs["patches"].weights
+def test_what_starts_there_is_not_label_free(trained: Trained, run: Outcome) -> None:
+    first = run.weights
     assert first
     second = trained(
-        "patches", f"initial_weights={first}", "stopping.epochs=1", out="second"
+        "images", f"initial_weights={first}", "stopping.epochs=1", out="second"
     ).weights
     assert second
     assert read_correction_runs(second) == read_correction_runs(first) != []
@@ -174,9 +144,9 @@ def test_the_command_reads_what_annotate_kept(streets: Path, cache: Path, tmp_pa
     name, logs = "street_1.png", tmp_path / "corrections"
     head = LogHeader(image=f"elsewhere/{name}", height=60, width=80)
     EventLog(log_path(logs, name), head).add(make_import_event(quarters(60, 80).astype(np.uint8)))
-    config = write_config(tmp_path / "train.toml", PATCHES)
+    config = write_config(tmp_path / "train.toml", IMAGES)
     words = ["--config", config, "--images", streets, "--out", tmp_path / "run", "--quiet"]
-    words += ["--corrections", logs, "--corrected-images", streets, "--prepared", cache / "patches"]
+    words += ["--corrections", logs, "--corrected-images", streets, "--prepared", cache / "images"]
 
     result = invoke_command(train_command, *words)
 
@@ -186,13 +156,15 @@ def test_the_command_reads_what_annotate_kept(streets: Path, cache: Path, tmp_pa
 
 
 def test_other_corrections_are_refused(
-    finished: tuple[Training, TrainingRequest], street: Correction, streets: Path, tmp_path: Path
+    run: Outcome, street: Correction, streets: Path, cache: Path, tmp_path: Path
 ) -> None:
-    training, request = finished
-    for corrections, error, message in (
-        ([street], ConfigError, "other corrections"),
-        ([correction(quarters(), tmp_path / "x.png")], InputError, "are not among"),
-        ([correction(quarters(), streets / "street_0.png")], InputError, "changed its size"),
+    assert run.weights
+    request = TrainingRequest(str(streets), run.weights.parent, cache / "images", quiet=True)
+    for kind, corrections, error, message in (
+        ("images", [], ConfigError, "other corrections"),
+        ("patches", [street], ConfigError, "--corrections: are for trainings of the kind images"),
+        ("images", [correction(quarters(), tmp_path / "x.png")], InputError, "are not among"),
+        ("images", [correction(quarters(), street.image)], InputError, "changed its size"),
     ):
         with pytest.raises(error, match=message):
-            train(training, replace(request, corrections=corrections))
+            train(training_of(kind), replace(request, corrections=corrections))

@@ -132,7 +132,7 @@ def test_targets_are_the_best_class_or_the_potentials(kind: str) -> None:
     planes = torch.tensor([0.6, 0.3, 0.1, 1.0, 0.7, 1.0, 0.8, 1.0]).reshape(1, 8, 1, 1)
     scores = torch.zeros(1, 5, 1, 1, requires_grad=True)
 
-    image_loss(torch.nn.Identity(), Batch(scores, planes, torch.ones(1)), training).backward()
+    image_loss(torch.nn.Identity(), Batch(scores, planes), training).backward()
 
     assert scores.grad is not None
     expected = [1.0, 0, 0, 1.0] if kind == "hard" else [0.6, 0.3, 0.1, 0.7]
@@ -146,7 +146,7 @@ def test_targets_are_averaged_to_the_size_of_the_scores() -> None:
     fine = torch.rand(2, 8, 6, 8, generator=seeded_generator(0))
     scores = torch.randn(2, 5, 3, 4, generator=seeded_generator(1))
 
-    loss = image_loss(torch.nn.Identity(), Batch(scores, fine, torch.ones(2)), training)
+    loss = image_loss(torch.nn.Identity(), Batch(scores, fine), training)
 
     small = fine.unfold(2, 2, 2).unfold(3, 2, 2).mean((4, 5)).split(TARGET_PLANES, 1)
     torch.testing.assert_close(loss, target_loss(scores, Targets(*small), training.heads))
