@@ -204,7 +204,7 @@ class Session:
     def _log(self, name: str, view: ImageView) -> EventLog:
         """Return the log of an image; the last ``MAX_LOGS`` are kept in memory."""
         log = self._logs.pop(name, None)
-        if log is None:
+        if log is None or log.header.sha256 not in ("", file_digest(self.images.root / name)):
             log = open_log(self.images, self.out, name, view.size)
         if log.size != view.size:
             message = f"was corrected at {log.header.width} by {log.header.height} pixels"

@@ -108,7 +108,7 @@ def prefer_interruption() -> Iterator[None]:
 
 @contextmanager
 def block_sigint_in_children() -> Iterator[None]:
-    """Block SIGINT in processes started inside the block; this one receives it afterwards.
+    """Block SIGINT in processes started inside the block, and in this thread until its end.
 
     A terminal sends Ctrl-C to all processes of a command; the first one handles it for them.
     """

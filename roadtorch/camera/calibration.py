@@ -132,7 +132,7 @@ def lens_from_camera_info(origin: str, message: Any, topic: str) -> Lens:
     """Return the lens of a CameraInfo message of rosbags or rclpy, for the images on a topic.
 
     It is K and D, or P where the topic has rectified images, less the region's offset.
-    Raises ConfigError naming the origin for an unknown model or number.
+    Raises ConfigError naming the origin for an unknown model or number, InputError for an empty K.
     """
     try:
         info = _CameraInfo.model_validate(message, from_attributes=True)
@@ -144,7 +144,8 @@ def lens_from_camera_info(origin: str, message: Any, topic: str) -> Lens:
     if RECTIFIED_TOPIC.search(topic):
         if info.projection[:1] > [0.0]:
             matrix = [info.projection[4 * row + column] for row in range(3) for column in range(3)]
-            info = info.model_copy(update={"matrix": matrix, "distortion": []})
+            update = {"matrix": matrix, "distortion": [], "distortion_model": "pinhole"}
+            info = info.model_copy(update=update)
         elif any(info.distortion):
             problem = f"has D but no P, and {topic} has rectified images"
             raise ConfigError(origin, problem, "pass the lens of the rectified images")
@@ -241,6 +242,8 @@ def _calibration_problems(calibration: Calibration) -> Iterator[tuple[str, str]]
         yield "P2", "does not end in 0 0 1 and a shift"
     elif not ((focal_lengths > 0) & (focal_lengths <= 1e6)).all():
         yield "P2", f"has the focal lengths {focal_lengths[0]:g} and {focal_lengths[1]:g}"
+    elif abs(projection[1, 0]) > 1e-6:
+        yield "P2", f"has the shear {projection[1, 0]:g}"
     matrices = calibration.rectification, calibration.camera_to_road
     for name, values in zip(list(KITTI_ROWS)[1:], matrices, strict=True):
         rotation = np.array(values).reshape(3, -1)[:, :3]

@@ -132,20 +132,22 @@ def add_conditions(dataset: Dataset, path: Path) -> Dataset:
 
 def _item_key(group: str | None, file: str) -> str:
     """Return an image's name in a table of conditions: GROUP/FILE, or FILE without groups."""
-    name = normalize("NFC", file)
-    return f"{group}/{name}" if group else name
+    return normalize("NFC", f"{group}/{file}" if group else file)
 
 
 def _read_rows(path: Path, columns: list[str]) -> Iterator[tuple[int, Mapping[str, str]]]:
     """Yield line number and cells of each row below the header."""
     try:
         text = read_regular(path).decode("utf-8-sig")
-        table = csv.DictReader(io.StringIO(text, newline=""), restval="")
+        table = csv.DictReader(io.StringIO(text, newline=""), restval="", strict=True)
         missing = [name for name in columns if name not in (table.fieldnames or ())]
         if missing:
             message = f"has no column {' and no column '.join(missing)}"
             raise DatasetError(path, message, f"its first line must name {', '.join(columns)}")
         for row in table:
+            if None in row:
+                where = f"{path}, line {table.line_num}"
+                raise DatasetError(where, "has more cells than the header", "quote or remove them")
             yield table.line_num, row
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise DatasetError(path, f"cannot be read: {reason(error)}", "give a CSV file") from None

@@ -181,14 +181,15 @@ def read_label_pixels(path: Path, size: tuple[int, int] | None = None) -> LabelP
     pixels, is_jpeg = np.asarray(image), image.format == "JPEG"
     if pixels.dtype.kind == "f":
         raise DatasetError(path, "holds floating-point numbers", "give one whole number a pixel")
+    may_be_transparent = image.has_transparency_data and not image.mode.startswith("I")
+    if may_be_transparent and (np.asarray(image.convert("RGBA"))[..., 3] != 255).any():
+        raise DatasetError(path, "has transparent pixels", "save it without transparency")
     if image.mode == "P":
         palette = np.array(image.getpalette("RGB"), np.uint8).reshape(-1, 3)
         if (palette != palette[:, :1]).any() or pixels.max(initial=0) >= len(palette):
             return LabelPixels(pixels, palette.tobytes())
         pixels = palette[pixels]
     elif image.mode in ("LA", "RGBA"):
-        if (pixels[..., -1] != 255).any():
-            raise DatasetError(path, "has transparent pixels", "save it without transparency")
         pixels = pixels[..., :-1]
     elif pixels.ndim == 3 and image.mode != "RGB":
         raise DatasetError(path, f"has the colours of {image.mode}", "give grey or RGB")

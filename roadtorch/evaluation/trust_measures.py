@@ -65,13 +65,13 @@ def mean_group_correlation(samples: TrustSamples) -> float:
     return float(torch.tensor(correlations, dtype=torch.float64).nanmean())
 
 
-def failure_auc(trust: Tensor, f: Tensor, bad: float = FAILURE_F) -> float:
-    """Compute the area under the ROC of detecting "F < bad" by low trust; equal trusts count half.
+def failure_auc(trust: Tensor, f: Tensor) -> float:
+    """Compute the area under the ROC of detecting F < ``FAILURE_F`` by low trust.
 
-    It is the fraction of pairs (bad image, good image) in which the bad one has the lower trust.
-    NaN where all are bad or none is.
+    It is the fraction of pairs (bad image, good image) in which the bad one has the lower trust;
+    equal trusts count half. NaN where all are bad or none is.
     """
-    failed = f < bad
+    failed = f < FAILURE_F
     pairs = int(failed.sum()) * int((~failed).sum())
     # Mann-Whitney U: the ranks of the good images, less their ranks among themselves.
     good = int((~failed).sum())

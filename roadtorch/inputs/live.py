@@ -64,8 +64,8 @@ def newest_frames(connect: Connection, name: str, origin: str) -> Generator[Item
     reader = Thread(target=_fill_queue, args=(newest, stop, connect), daemon=True)
     reader.start()
     first: float | None = None
-    # Until the last reconnection has failed.
-    longest = (RETRIES + 1) * TIMEOUT + BACKOFF * (2**RETRIES - 1) + GRACE_PERIOD
+    # Until the last reconnection has failed: each may wait for an answer and for a frame.
+    longest = 2 * (RETRIES + 1) * TIMEOUT + BACKOFF * (2**RETRIES - 1) + GRACE_PERIOD
     try:
         while True:
             limit = TIMEOUT * 2 + GRACE_PERIOD if first is None else longest

@@ -38,7 +38,7 @@ def variance_floor(axes: Axes) -> Tensor:
 
 
 def moments(samples: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Return mean (d,) and covariance (d, d) of samples (m, d), divisor m-1 (0 for one sample).
+    """Return mean (d,) and covariance (d, d) of samples (m, d), divisor m-1; of one sample, 0.
 
     With weights w (m,): Σwx/Σw, and the covariance Σw²(x-mean)(x-mean)ᵀ/Σw² about it.
     """

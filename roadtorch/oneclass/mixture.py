@@ -1,7 +1,7 @@
 """Mixtures of 2, 4 and an optimised number of Gaussians (P3, section III-B).
 
 All restarts and numbers of components of a fit run as one batch of expectation maximisation in
-float64; weights select the samples of a run.
+float64.
 """
 
 import math
@@ -94,7 +94,7 @@ def _m_step(features: Tensor, memberships: Tensor, widening: Tensor) -> Mixtures
 
 
 def expectation_maximisation(
-    samples: Tensor, weights: Tensor, start: Tensor, widening: Tensor, rounds: int = MAX_EM_ROUNDS
+    samples: Tensor, start: Tensor, widening: Tensor, rounds: int = MAX_EM_ROUNDS
 ) -> tuple[Tensor, Tensor]:
     """Run expectation maximisation of R mixtures: memberships (R, N, m), log-likelihoods (R,).
 
@@ -103,21 +103,20 @@ def expectation_maximisation(
 
     Args:
         samples: float64, roughly centred, shape (m, d).
-        weights: 1 for a sample that a run uses, else 0, shape (R, m).
         start: initial memberships, shape (R, N, m); a component without any stays empty.
         widening: variances added in each round, shape (d,).
         rounds: most rounds.
     """
     features, memberships = _polynomial_features(samples), start
-    likelihood = samples.new_full((len(weights),), -math.inf)
-    limit = LIKELIHOOD_TOLERANCE * weights.sum(1)
+    likelihood = samples.new_full((len(start),), -math.inf)
+    limit = LIKELIHOOD_TOLERANCE * len(samples)
     for _ in range(rounds):
-        parts = log_densities(features, _m_step(features, memberships * weights[:, None], widening))
+        parts = log_densities(features, _m_step(features, memberships, widening))
         top = parts.amax(1, keepdim=True)
         memberships = (parts - top).exp_()
         total = memberships.sum(1, keepdim=True)
         memberships = memberships / total
-        previous, likelihood = likelihood, ((top + total.log())[:, 0] * weights).sum(1)
+        previous, likelihood = likelihood, (top + total.log())[:, 0].sum(1)
         if bool(((likelihood - previous).abs() <= limit).all()):
             break
     return memberships, likelihood
@@ -128,17 +127,15 @@ def m_step(samples: Tensor, memberships: Tensor, widening: Tensor) -> Mixtures:
     return _m_step(_polynomial_features(samples), memberships, widening)
 
 
-def k_means_plus_plus(
-    samples: Tensor, weights: Tensor, numbers: Tensor, generator: torch.Generator
-) -> Tensor:
+def k_means_plus_plus(samples: Tensor, numbers: Tensor, generator: torch.Generator) -> Tensor:
     """Run k-means++ for R runs: return one-hot memberships (R, N, m) of the nearest start.
 
     Each start is sampled with a probability proportional to the squared distance to the previous
-    ones (Arthur and Vassilvitskii 2007). Samples with weight 0 (R, m) are excluded; ``numbers``
-    (R,) are the starts of each run, N the largest.
+    ones (Arthur and Vassilvitskii 2007). ``numbers`` (R,) are the starts of each run, N the
+    largest.
     """
     max_count = int(numbers.max())
-    runs = torch.arange(len(weights))
+    runs, weights = torch.arange(len(numbers)), samples.new_ones(len(numbers), len(samples))
     probabilities, nearest = weights.clone(), samples.new_full(weights.shape, math.inf)
     owner = torch.zeros(weights.shape, dtype=torch.int64)
     for number in range(max_count):
@@ -147,7 +144,7 @@ def k_means_plus_plus(
         closer = (squared < nearest) & (number < numbers)[runs, None]
         owner.masked_fill_(closer, number)
         nearest = torch.where(closer, squared, nearest)
-        probabilities = nearest * weights
+        probabilities = nearest
         # Fewer distinct samples than starts: sample any; it stays without members.
         probabilities = torch.where(probabilities.sum(1, keepdim=True) > 0, probabilities, weights)
     return torch.nn.functional.one_hot(owner, max_count).mT.to(samples.dtype)
@@ -169,15 +166,10 @@ def _best_runs(
     """
     # A single component needs one start.
     runs = torch.tensor([n for n in numbers for _ in range(restarts if n > 1 else 1)])
-    weights = samples.new_ones(len(runs), len(samples))
-    start = k_means_plus_plus(samples, weights, runs, generator)
-    memberships, likelihoods = expectation_maximisation(
-        samples, weights, start, widening, TRIAL_EM_ROUNDS
-    )
+    start = k_means_plus_plus(samples, runs, generator)
+    memberships, likelihoods = expectation_maximisation(samples, start, widening, TRIAL_EM_ROUNDS)
     best = torch.stack([likelihoods.masked_fill(runs != n, -math.inf).argmax() for n in numbers])
-    memberships, likelihoods = expectation_maximisation(
-        samples, weights[best], memberships[best], widening
-    )
+    memberships, likelihoods = expectation_maximisation(samples, memberships[best], widening)
     return m_step(samples, memberships, widening), likelihoods
 
 

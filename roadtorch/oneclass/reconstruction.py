@@ -112,8 +112,7 @@ def fit_means(road: RoadSamples, settings: CentreSettings) -> DistanceModel:
     samples = road.samples
     count = min(settings.centres, len(samples.unique(dim=0)))
     numbers = torch.full((settings.restarts,), count)
-    weights = samples.new_ones(settings.restarts, len(samples))
-    member = k_means_plus_plus(samples, weights, numbers, road.generator)
+    member = k_means_plus_plus(samples, numbers, road.generator)
     start = member @ samples / member.sum(2, keepdim=True).clamp_min(1)
     centres, inertia = k_means(samples, start)
     return distance_to_nearest(centres[int(inertia.argmin())])

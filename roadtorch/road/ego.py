@@ -83,8 +83,8 @@ def read_ego_mask(path: str) -> Tensor:
 def ego_car(image: Tensor, ego: Ego, mask: Tensor | None = None) -> Tensor:
     """Return the ego car that the settings describe for an image (3, H, W): bool (H, W).
 
-    mask: that of the settings' file; None: it is read. Raises InputError if the mask differs in
-    size from the image, or too little is left free.
+    mask: that of the settings' file; None: it is read, and raises as ``read_ego_mask``. Raises
+    InputError if the mask differs in size from the image, or too little is left free.
     """
     height, width = image.shape[-2:]
     rows = (torch.arange(height, device=image.device) + 0.5) / height

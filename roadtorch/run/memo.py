@@ -31,8 +31,7 @@ def cache_key(*parts: object) -> str:
     """Return a cache key of all inputs of a result and roadtorch's version: 32 hexadecimal digits.
 
     A path is hashed by its bytes, a folder by those of all files below it; a detector by its
-    settings, the files that they name, its weights and runtime; anything else by its ``repr``. Used
-    for results of ``infer``, prepared training images, frames of an adaptation, and ``annotate``.
+    settings, the files that they name, its weights and runtime; anything else by its ``repr``.
     """
     digest = hashlib.sha256(__version__.encode())
     for part in parts:

@@ -125,6 +125,7 @@ def test_other_files_are_refused_by_name(tmp_path: Path, text: str, message: str
     ("row", "change", "message"),
     [
         ("P2", lambda matrix: matrix * (-1, 1, 1, 1), "P2 has the focal lengths -130 and 130"),
+        ("P2", lambda matrix: matrix + [[0], [9], [0]] * np.eye(3, 4)[0], "P2 has the shear 9"),
         ("P2", lambda matrix: matrix * 2, "P2 does not end in 0 0 1"),
         ("P2", lambda matrix: matrix * [[1], [1], [0]], "P2 does not end in 0 0 1"),
         ("R0_rect", lambda matrix: matrix * 0, "R0_rect is no rotation"),

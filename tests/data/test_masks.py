@@ -38,6 +38,8 @@ def picture(upper: int, lower: int, mode: str = "L", palette: tuple[int, ...] = 
 
 BLACK, WHITE, GREY, RED = (0, 0, 0), (255, 255, 255), (70, 70, 70), (255, 0, 0)
 PAINTED = Image.fromarray(np.where(halves(0, 1)[..., None], RED, 0).astype(np.uint8))
+HIDDEN = picture(1, 0, palette=WHITE + BLACK)
+HIDDEN.info["transparency"] = 0
 BOTH = {"a.png": picture(0, 1), "drive/b.png": picture(0, 255)}
 THREE = {"a.png": picture(0, 1, palette=BLACK + GREY + RED),
          "drive/b.png": picture(0, 2, palette=BLACK + GREY + RED)}  # fmt: skip
@@ -91,6 +93,7 @@ def test_values_are_road_void_or_neither(mask, road, void, labels, images, tmp_p
         (SWAPPED, ("1",), "different palettes"),
         ({"a.png": PAINTED}, (), "unknown meaning, such as #ff0000.*road '#ff0000'"),
         ({"a.png": Image.merge("LA", [picture(0, 255)] * 2)}, (), "has transparent pixels"),
+        ({"a.png": HIDDEN}, (), "has transparent pixels"),
         ({"a.tif": picture(0, 1, "F")}, (), "holds floating-point numbers"),
         ({"a.jpg": picture(0, 7)}, (), "is a JPEG with levels up to 7"),
         ({"a.jpg": PAINTED}, (), "is a JPEG in colour"),

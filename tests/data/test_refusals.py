@@ -105,6 +105,8 @@ CONDITIONS: Rows = [
         ("name,file\nn,a.png\n", "csv", r"has no column condition \(its first line must name"),
         (TABLE + "f,a.jpg,day\n", "line 4", r"there is no image f/a.jpg \(did.*f/a.png"),
         (TABLE + "f,b.png,day\n", "line 4", r"names f/b.png a second time \(keep one"),
+        (TABLE + "f,a.png,day,rain\n", "line 4", r"has more cells than the header \(quote"),
+        (TABLE + 'f,a.png,"day\n', "csv", r"cannot be read: unexpected end of data"),
     ]
 ]
 

@@ -40,7 +40,7 @@ def test_ranks_and_areas_equal_those_of_scipy_and_scikit_learn(pairs):
         assert trust_measures.rank_correlation(trusts, f) == pytest.approx(expected, abs=1e-9)
     if 0 < bad.sum() < len(bad):
         expected = float(roc_auc_score(bad, -trusts))
-        assert trust_measures.failure_auc(trusts, f, 0.6) == pytest.approx(expected, abs=1e-12)
+        assert trust_measures.failure_auc(trusts, f) == pytest.approx(expected, abs=1e-12)
 
 
 def test_within_groups_what_differs_between_them_counts_for_nothing():
@@ -69,7 +69,7 @@ def test_constant_values_are_nan():
 
     for pair in ((constant, f), (nothing, nothing)):
         assert math.isnan(trust_measures.rank_correlation(*pair))
-        assert math.isnan(trust_measures.failure_auc(*pair, 0.6))
+        assert math.isnan(trust_measures.failure_auc(*pair))
 
 
 # --- disagreement -----------------------------------------------------------------------

@@ -85,19 +85,21 @@ def test_reads_compressed_images(tmp_path: Path, form: str):
 
 
 @pytest.mark.parametrize(
-    ("topic", "focal", "coefficients"),
+    ("topic", "model", "focal", "coefficients"),
     [
-        ("/camera/image_raw", 300, (0.1, -0.2, 0, 0, 0)),
-        ("/camera/image_rect_color", 250, ()),
-        ("/camera/image_rect/compressed", 250, ()),
-        ("/camera/correct", 300, (0.1, -0.2, 0, 0, 0)),
+        ("/camera/image_raw", "plumb_bob", 300, (0.1, -0.2, 0, 0, 0)),
+        ("/camera/image_rect_color", "plumb_bob", 250, ()),
+        ("/camera/image_rect_color", "equidistant", 250, ()),
+        ("/camera/image_rect/compressed", "plumb_bob", 250, ()),
+        ("/camera/correct", "plumb_bob", 300, (0.1, -0.2, 0, 0, 0)),
     ],
 )
 def test_rectified_images_have_the_lens_p(
-    topic: str, focal: float, coefficients: tuple[float, ...], tmp_path: Path
+    topic: str, model: str, focal: float, coefficients: tuple[float, ...], tmp_path: Path
 ) -> None:
     info, data = calibration(ROS2, FIRST), cv2.imencode(".png", scene(0))[1].tobytes()
     info.p[:] = [250, 0, 31, -9, 0, 260, 23, 0, 0, 0, 1, 0]
+    info.distortion_model = model
     is_compressed = topic.endswith("compressed")
     image = compressed_image(ROS2, data, 0) if is_compressed else IMAGES[0]
     path = write_bag(tmp_path / "a", {topic: [image], "/camera/camera_info": [info]})

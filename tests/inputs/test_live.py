@@ -119,7 +119,7 @@ def test_only_the_newest_frame_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
     looked.set()
     sent.wait(60)
     assert next(frames).number == 3
-    with pytest.raises(InputError, match=r"x: gives no frame within 1 seconds"):
+    with pytest.raises(InputError, match=r"x: gives no frame within 1.5 seconds"):
         next(frames)
     end.set()
 

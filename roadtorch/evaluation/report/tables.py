@@ -48,7 +48,7 @@ def build_tables(evaluation: Evaluation, limit: int | None = None) -> list[Table
             if limit is None or part == "condition" or not has_columns
         ),
         trust_table(evaluation, ranked),
-        layout_table(evaluation, listed),
+        layout_table(evaluation, listed, limit),
         difference_table(evaluation, listed),
     ]
     return [table for table in tables if table.names]
@@ -108,8 +108,8 @@ def trust_table(evaluation: Evaluation, names: Sequence[str]) -> Table:
     return table
 
 
-def layout_table(evaluation: Evaluation, names: Sequence[str]) -> Table:
-    """Return class recalls of the detectors that label the layout, by group."""
+def layout_table(evaluation: Evaluation, names: Sequence[str], limit: int | None = None) -> Table:
+    """Return class recalls of layouts by group, or above ``limit`` rows their means alone."""
     measures = evaluation.measures_in("layout")
     keys = {measure.key for measure in measures}
     rows = {
@@ -119,7 +119,10 @@ def layout_table(evaluation: Evaluation, names: Sequence[str]) -> Table:
         for group, scores in (*sorted(detector.groups.items()), ("mean", detector.headline))
         if keys & scores.keys()
     }
-    table = Table("layout", [name for name, _ in rows])
+    count = len(rows)
+    if limit is not None and count > limit:
+        rows = {key: scores for key, scores in rows.items() if key[1] == "mean"}
+    table = Table("layout", [name for name, _ in rows], omitted=count - len(rows))
     table.add("group", [Cell(group) for _, group in rows])
     for measure in measures:
         table.add_measure(measure, rows.values(), is_ranked=False)
