@@ -1,7 +1,6 @@
 """Break commands on purpose, start them again, and compare with a run that nobody disturbed.
 
     python scripts/chaos.py kill infer evaluate train adapt --times 20 --jobs 2
-    python scripts/chaos.py fault annotate --times 1000      # every call that can fail, once
     python scripts/chaos.py change                           # all commands
 
     kill     KILL, TERM or INT at a random moment, up to three times in a row
@@ -11,30 +10,22 @@
     meet     two runs of one command at the same moment: both end well, or one is refused
     read     a reader opens every result while it is written: it is whole
     change   images are cut short, grow or vanish while they are read, and come back
-    clock    TERM, and the clock is set back by a day before the second run
-    locks    the folder has no locks
-    fault    the n-th open, write, fsync, rename or close below --out fails, as SQLite is tested (a
-             full disk, which stays full; EIO; EINTR; a short write; KILL right behind the call)
 
 No run may end in a traceback, hang, or have an exit status that docs/performance.md does not name,
 and what the correction page acknowledged is in its logs. Once the trouble is over the same command
 has to end in 0 with the files of the undisturbed run, byte for byte but for times, and no others.
 Runs are forked behind the imports, so that trouble meets the work. What is wrong is a line, and the
-exit status is then 1. ``clock``, ``locks`` and ``fault`` need Linux and a C compiler (chaos.c).
+exit status is then 1.
 """
 
-import ctypes
-import errno
 import importlib
 import json
-import mmap
 import os
 import pkgutil
 import random
 import re
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
@@ -49,7 +40,6 @@ from functools import partial
 from multiprocessing import get_context
 from multiprocessing.context import ForkProcess
 from pathlib import Path
-from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
@@ -71,29 +61,6 @@ SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 
 # --- processes ----------------------------------------------------------------------------
 
-CALLS = ("open", "write", "fsync", "rename", "close", "lock")  # in the order of chaos.c
-ERRORS = {"ENOSPC": errno.ENOSPC, "EIO": errno.EIO, "EINTR": errno.EINTR, "KILL": -1, "SHORT": -2}
-FAULT_ENDS = {0, 1, 2, -signal.SIGKILL}
-IMPOSSIBLE = {("rename", "EINTR"), ("close", "ENOSPC")}
-COUNTS = mmap.mmap(-1, 8 * len(CALLS))  # of each call in the last armed run, which shares it
-
-
-class Fault(NamedTuple):
-    """A fault: the n-th call of a kind fails with an error, and the clock is shifted by seconds."""
-
-    call: str = "open"
-    number: int = 0
-    error: int = 0
-    shift: int = 0
-
-    def arm(self) -> None:
-        """Inject the fault into this process."""
-        COUNTS[:] = bytes(len(COUNTS))
-        counts = (ctypes.c_long * len(CALLS)).from_buffer(COUNTS)
-        long, below = ctypes.c_long, str(Path(OUT).resolve()).encode()
-        arm = ctypes.CDLL(None).chaos_arm
-        arm(below, CALLS.index(self.call), long(self.number), self.error, long(self.shift), counts)
-
 
 @dataclass
 class Case:
@@ -105,20 +72,20 @@ class Case:
     seconds: float = 0.0
     log: str = "stderr"
 
-    def start(self, fault: Fault | None = None) -> ForkProcess:
-        """Start the command, with a fault, in a forked copy of this process.
+    def start(self) -> ForkProcess:
+        """Start the command in a forked copy of this process.
 
         TERM and INT are blocked until the copy is where a process of its own would be: within fork
         Python would report an interruption and forget it.
         """
         self.folder.mkdir(exist_ok=True)
-        child = get_context("fork").Process(target=self.run_and_exit, args=(fault,))
+        child = get_context("fork").Process(target=self.run_and_exit)
         signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS[1:])
         child.start()
         signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS[1:])
         return child
 
-    def run_and_exit(self, fault: Fault | None) -> None:
+    def run_and_exit(self) -> None:
         """Run the command and end this process as Python would, with standard error in a file."""
         status = 70
         try:
@@ -127,8 +94,6 @@ class Case:
             errors = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
             for stream, target in enumerate((null, null, errors)):
                 os.dup2(target, stream)
-            if fault:
-                fault.arm()
             signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS[1:])
             self.command()
             status = 0
@@ -348,40 +313,16 @@ def change(case: Case) -> Iterator[str]:
     yield from case.finish(child, {0, 1, 2})
 
 
-def fail(case: Case, fault: Fault, allowed: set[int]) -> Iterator[str]:
-    """Let calls fail."""
-    yield from case.finish(case.start(fault), allowed)
-
-
-def faults(times: int) -> list[Fault]:
-    """Return at most so many faults, evenly spaced over all calls of the last armed run."""
-    everything = [
-        Fault(call, number, error)
-        for call, count in zip(CALLS[:-1], memoryview(COUNTS).cast("l"), strict=False)
-        for number in range(1, count + 1)
-        for name, error in ERRORS.items()
-        if (call, name) not in IMPOSSIBLE and (name != "SHORT" or call == "write")
-    ]
-    count = min(times, len(everything))
-    return [everything[index * len(everything) // count] for index in range(count)]
-
-
-AGAIN = {"clock": Fault(shift=-86_400), "locks": Fault("lock", 1, errno.ENOLCK)}
-"""Faults of the second run."""
-
 TROUBLE: Mapping[str, Callable[[Case], Iterator[str]]] = {
     "kill": partial(interrupt, numbers=SIGNALS),
     "hangup": partial(interrupt, numbers=(signal.SIGHUP,)),
     "pause": partial(interrupt, numbers=(signal.SIGSTOP,)),
-    "clock": partial(interrupt, numbers=(signal.SIGTERM,)),
     "worker": kill_worker,
     "meet": meet,
     "read": read,
     "change": change,
-    "locks": partial(fail, fault=AGAIN["locks"], allowed={0}),
 }
 NOT_TRIED = {
-    *(("clock", name) for name in ("annotate", "import")),  # whose results hold the time
     ("change", "annotate"),  # what is drawn depends on the list of images
     ("meet", "annotate"),  # it is the page's server that holds the lock
     *(("worker", name) for name in COMMANDS if "{" not in COMMANDS[name]),
@@ -398,30 +339,27 @@ def disturb(name: str, options: Namespace, folder: Path) -> list[str]:
     child = replace(case, command=partial(prepare, folder / "work", options.count)).start()
     child.join()  # in a copy of this process, as torch's threads survive no fork
     start = time.monotonic()
-    wrong = list(case.finish(case.start(Fault() if kind == "fault" else None), {0}))
+    wrong = list(case.finish(case.start(), {0}))
     case.seconds = time.monotonic() - start
     quiet = case.folder.rename(folder / "quiet")
-    attempts = [TROUBLE[kind]] * options.times if kind in TROUBLE else []
-    attempts += [partial(fail, fault=fault, allowed=FAULT_ENDS) for fault in faults(options.times)]
-    for attempt in attempts:
-        problems = [*attempt(case), *lost_strokes(case.folder)]
-        again = list(case.finish(case.start(AGAIN.get(kind)), {0}))
+    for _ in range(options.times):
+        problems = [*TROUBLE[kind](case), *lost_strokes(case.folder)]
+        again = list(case.finish(case.start(), {0}))
         if kind == "change" and again and "ended with 2:" in again[0]:
             shutil.rmtree(case.folder)  # what began with other bytes is refused, and begun anew
             again = list(case.finish(case.start(), {0}))
         problems += [f"started again it {end}" for end in again]
         problems += differences(quiet / OUT, case.folder / OUT)
-        cause = attempt.keywords if isinstance(attempt, partial) else ""
-        wrong += [f"{kind} {name} {cause}: {problem}" for problem in problems]
+        wrong += [f"{kind} {name}: {problem}" for problem in problems]
         shutil.rmtree(case.folder)
-    print(f"{kind} {name}: tried {len(attempts)}, wrong {len(wrong)}", flush=True)
+    print(f"{kind} {name}: tried {options.times}, wrong {len(wrong)}", flush=True)
     return wrong
 
 
 # --- the command line ---------------------------------------------------------------------
 
 
-def load(kind: str) -> None:
+def load() -> None:
     """Import what the runs need and stop the clock of events, as each run is repeated."""
     torch.set_num_threads(1)
     for module in pkgutil.walk_packages(roadtorch.__path__, "roadtorch."):
@@ -429,22 +367,13 @@ def load(kind: str) -> None:
             with suppress(ImportError):  # of an extra that is not installed
                 importlib.import_module(module.name)
     training_loop.SAVE_INTERVAL = 0.0  # save as often as that can be done
-    if kind != "clock":
-        time.time = lambda: 1e9
-
-
-def run_preloaded() -> int:
-    """Run this script again with the library preloaded that replaces calls."""
-    with tempfile.TemporaryDirectory() as folder:
-        shim, source = f"{folder}/chaos.so", str(Path(__file__).with_suffix(".c"))
-        subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", shim, source, "-ldl"], check=True)
-        return subprocess.call([sys.executable, *sys.argv], env=os.environ | {"LD_PRELOAD": shim})
+    time.time = lambda: 1e9
 
 
 def run() -> int | str:
     """Try a class of trouble on commands; return the problems."""
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument("trouble", choices=[*TROUBLE, "fault"])
+    parser.add_argument("trouble", choices=TROUBLE)
     parser.add_argument("commands", nargs="*", choices=[*COMMANDS, []], default=[])
     parser.add_argument("--times", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
@@ -452,9 +381,7 @@ def run() -> int | str:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--detector", default="prior:rows")
     options = parser.parse_args()
-    if options.trouble in ("fault", "clock", "locks") and "LD_PRELOAD" not in os.environ:
-        return run_preloaded()
-    load(options.trouble)
+    load()
     wrong = list[str]()
     for name in options.commands or COMMANDS:
         if (options.trouble, name) not in NOT_TRIED:

@@ -34,7 +34,7 @@ from roadtorch.camera.gradients import (
 )
 from roadtorch.camera.ground import Lens, project_rays
 from roadtorch.camera.views import SLOPE_AHEAD, sample_view, view_ahead
-from roadtorch.imaging.resize import WorkingSize, resize_to_image, resize_to_work, spatial_size
+from roadtorch.imaging.resize import WorkingSize, resize_to_work, spatial_size
 from roadtorch.road.ego import Ego
 from roadtorch.road.illuminant import invariant_angle, log_chromaticity, projection_entropies
 
@@ -62,29 +62,6 @@ class FootageStatistics(NamedTuple):
     gradients: GradientStatistics
     point: VanishingPoint
     lines: Tensor  # (2, h, w), strength of edges that aim at the vanishing point, and of all
-
-
-def detect_ego_car(frames: Sequence[Tensor]) -> Tensor | None:
-    """Detect the ego car in frames of one camera.
-
-    Args:
-        frames: sRGB in [0, 1], shape (3, H, W) each; sizes may differ. 10 of different places are
-            enough, more are better.
-
-    Returns:
-        Mask, bool, of the size of the first frame; None without an ego car, which is common.
-
-    Raises:
-        InputError: for fewer than two frames.
-    """
-    if len(frames) < 2:
-        raise InputError("footage", f"is {len(frames)} frame(s)", "give 10 or more of one camera")
-    size = small_size(frames)
-    gradients = [sobel_gradient(small_grey(frame, size)) for frame in frames]
-    rows = _find_ego_rows(_footage_statistics(gradients))
-    if rows is None:
-        return None
-    return resize_to_image(torch.arange(size[0])[:, None] >= rows, spatial_size(frames[0]))
 
 
 def _footage_statistics(gradients: Sequence[Tensor]) -> FootageStatistics:

@@ -3,9 +3,8 @@
 import importlib
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -170,26 +169,6 @@ class Detection:
                 regions[region].append(ring)
         return list(regions.values())
 
-    def to_supervision(self) -> Any:
-        """Convert to ``supervision.Detections``: the road as one object, the trust its confidence.
-
-        Raises:
-            ConfigError: supervision is not installed.
-        """
-        supervision = _import_optional("supervision")
-        mask = self.mask.cpu().numpy()
-        if not mask.any():
-            return supervision.Detections.empty()
-        rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
-        trust = None if self.trust is None else np.array([self.trust], np.float32)
-        return supervision.Detections(
-            xyxy=np.array([[columns[0], rows[0], columns[-1] + 1, rows[-1] + 1]], np.float32),
-            mask=mask[None],
-            confidence=trust,
-            class_id=np.array([0]),
-            data={"class_name": np.array(["road"])},
-        )
-
     def __repr__(self) -> str:
         """Return one line: size, fraction of road, trust and doubt."""
         height, width = self.mask.shape
@@ -200,32 +179,3 @@ class Detection:
     def _repr_png_(self) -> bytes | None:
         """Return the overlay as PNG for notebooks."""
         return None if self.image is None else png_bytes(self.overlay(), NOTEBOOK_SIDE)
-
-
-def to_pandas(detections: Iterable[Detection]) -> Any:
-    """Return a ``pandas.DataFrame`` with a row for each detection, in order.
-
-    Columns: name, seconds, width, height, road_fraction (0 to 1), trust, doubt; ``index.csv`` of
-    ``infer`` has the same for a folder. Raises ConfigError if pandas is not installed.
-    """
-    rows = [
-        {
-            "name": detection.name,
-            "seconds": detection.seconds,
-            "width": detection.mask.shape[1],
-            "height": detection.mask.shape[0],
-            "road_fraction": float(detection.mask.double().mean()),
-            "trust": detection.trust,
-            "doubt": detection.doubt,
-        }
-        for detection in detections
-    ]
-    return _import_optional("pandas").DataFrame(rows)
-
-
-def _import_optional(name: str) -> Any:
-    """Import a package that roadtorch does not require; ConfigError if it is not installed."""
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        raise ConfigError(name, "is not installed", f"pip install {name}") from None

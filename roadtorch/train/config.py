@@ -186,13 +186,6 @@ class HeadWeights(Settings):
 
     road: float = Field(default=1.0, ge=0, le=100, description="weight of the road's loss")
     ego: float = Field(default=0.5, ge=0, le=100, description="weight of the ego car's loss")
-    dice: float = Field(
-        default=0.0,
-        ge=0,
-        le=100,
-        description="weight of the road's Dice loss (Milletari et al. 2016) beside its "
-        "cross-entropy",
-    )
 
 
 class GeometryAugmentation(Settings):

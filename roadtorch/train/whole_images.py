@@ -315,27 +315,16 @@ def image_loss(network: nn.Module, batch: Batch, training: ImageTraining) -> Ten
 
 
 def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tensor:
-    """Compute the loss of scores (B, 5, H, W), summed over images.
-
-    It is the cross-entropy's mean over all pixels and, with the weight ``dice``, the road's Dice
-    loss (Milletari et al., "V-Net", 3DV 2016) of each image.
-    """
+    """Sum the images' losses of scores (B, 5, H, W): cross-entropy, mean over all pixels."""
 
     def binary(scores: Tensor, targets: Tensor) -> Tensor:
         return F.binary_cross_entropy_with_logits(scores, targets, reduction="none")
 
     layout = -(targets.layout * scores[:, :NUM_CLASSES].log_softmax(1)).sum(1, keepdim=True)
-    road_scores = scores[:, ROAD_OUTPUT : ROAD_OUTPUT + 1]
-    road = binary(road_scores, targets.road) * targets.road_weight
+    road = binary(scores[:, ROAD_OUTPUT : ROAD_OUTPUT + 1], targets.road) * targets.road_weight
     ego = binary(scores[:, EGO_OUTPUT:], targets.ego) * targets.ego_weight
     loss = layout * targets.layout_weight + weights.road * road + weights.ego * ego
-    loss = loss.mean((1, 2, 3))
-    if weights.dice:
-        predicted, true, weight = road_scores.sigmoid(), targets.road, targets.road_weight
-        overlap = (predicted * true * weight).sum((1, 2, 3))
-        areas = ((predicted.square() + true.square()) * weight).sum((1, 2, 3))
-        loss = loss + weights.dice * (1 - 2 * overlap / areas.clamp_min(1e-6))
-    return loss.sum()
+    return loss.mean((1, 2, 3)).sum()
 
 
 # --- recipe -----------------------------------------------------------------------------

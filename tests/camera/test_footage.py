@@ -10,7 +10,7 @@ from torch import Tensor
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import read_image
 from roadtorch.camera.camera import Camera
-from roadtorch.camera.footage import detect_ego_car, estimate_camera
+from roadtorch.camera.footage import estimate_camera
 from roadtorch.camera.gradients import estimate_horizon
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.entry import DetectorSettings
@@ -18,6 +18,7 @@ from roadtorch.detectors.fusion import UntrainedFusionSettings
 from roadtorch.detectors.illuminant import IlluminantSettings
 from roadtorch.imaging.resize import resize_maps
 from roadtorch.layout.classes import HORIZONTAL
+from roadtorch.road.ego import ego_car
 from roadtorch.testing.scenes import render_scene, sample_street
 from tests.streets import bonnet, drive, scene
 
@@ -25,13 +26,12 @@ from tests.streets import bonnet, drive, scene
 
 
 def test_the_bonnet_is_found_where_it_is_painted_and_none_where_there_is_none() -> None:
-    ego, painted = detect_ego_car(drive()), bonnet(120, 160)
+    image, painted = drive()[0], bonnet(120, 160)
 
-    assert ego is not None
+    ego = ego_car(image, estimate_camera(drive()).ego)
+
     assert (ego & painted).sum() > 0.85 * (ego | painted).sum()
-    assert detect_ego_car(drive(rise=0)) is None
-    with pytest.raises(InputError, match=r"footage: is 1 frame\(s\)"):
-        detect_ego_car(drive()[:1])
+    assert not ego_car(image, estimate_camera(drive(rise=0)).ego).any()
 
 
 # --- the camera -----------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 """A few of the troubles of scripts/chaos.py: nothing is lost. The script tries them all."""
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,15 +12,12 @@ from scripts.chaos import TROUBLE, differences
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "chaos.py"
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="calls that fail need a C compiler")
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="LD_PRELOAD is Linux's")
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="workers are found in /proc")
 @pytest.mark.parametrize(
     ("trouble", "words"),
     [
         ("kill", ("infer", "--times", "1", "--jobs", "2")),
-        ("fault", ("infer", "--times", "2")),
         *(pytest.param(name, ("--times", "3"), marks=pytest.mark.slow) for name in TROUBLE),
-        pytest.param("fault", ("--times", "40"), marks=pytest.mark.slow),
     ],
 )
 def test_trouble_costs_nothing_after_another_start(trouble: str, words: tuple[str, ...]) -> None:

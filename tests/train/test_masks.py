@@ -26,11 +26,8 @@ from roadtorch.layout.pretrained import load_imagenet_weights
 from roadtorch.layout.weights import load_network, read_correction_runs
 from roadtorch.testing.scenes import write_image
 from roadtorch.train.comparison_page import describe_gain
-from roadtorch.train.config import HeadWeights
 from roadtorch.train.recordings import select_held_out
 from roadtorch.train.run import Outcome
-from roadtorch.train.targets import Targets
-from roadtorch.train.whole_images import target_loss
 from tests.command import invoke_command
 from tests.networks import write_random_network, write_wheel
 from tests.streets import scene
@@ -57,21 +54,6 @@ def test_whole_recordings_are_held_out(
     names: list[str], fraction: float, expected: list[str]
 ) -> None:
     assert select_held_out(names[::-1], fraction, "_") == expected
-
-
-def test_dice_is_one_minus_the_overlap_of_what_counts() -> None:
-    scores, road = torch.full((1, 5, 2, 4), -30.0), torch.zeros(1, 1, 2, 4)
-    scores[:, 3, :, :2], road[..., 1:3] = 30.0, 1.0
-    weight = torch.ones_like(road)
-    weight[..., 3] = 0  # void
-    none = torch.zeros_like(road)
-    targets = Targets(none.repeat(1, 3, 1, 1), none, road, weight, none, none)
-
-    def loss(dice: float) -> Tensor:
-        return target_loss(scores, targets, HeadWeights(road=0, dice=dice))
-
-    assert float(loss(0.0)) == 0
-    assert float(loss(2.0)) == pytest.approx(2 * (1 - 2 * 2 / (4 + 4)))
 
 
 def test_the_weights_of_the_best_epoch_are_kept_and_training_stops_after_it(
