@@ -108,9 +108,9 @@ def suggest_candidates(
 
 def suggest_datasets(_: click.Context, __: click.Parameter, incomplete: str) -> list[str]:
     """Suggest labelled data sets."""
-    from roadtorch.data.catalogue import list_datasets
+    from roadtorch.data.catalogue import DATASET_FORMATS
 
-    return [name for name in list_datasets() if name.startswith(incomplete)]
+    return [name for name in sorted(DATASET_FORMATS) if name.startswith(incomplete)]
 
 
 # --- options ------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from click.shell_completion import get_completion_class
 import roadtorch
 from roadtorch.base.errors import InputError
 from roadtorch.cli import group, main
-from roadtorch.data.catalogue import list_datasets
+from roadtorch.data.catalogue import DATASET_FORMATS
 from roadtorch.detectors.catalogue import list_detectors
 from tests.command import Call
 
@@ -114,7 +114,7 @@ def completions(line: str) -> list[str]:
         ("doc", ["doctor"]),
         ("infer --detector cpf", ["cpf", "cpf:squares", "cpf:v2"]),
         ("detectors cpf:", ["cpf:squares", "cpf:v2"]),
-        ("evaluate ", list_datasets()),
+        ("evaluate ", sorted(DATASET_FORMATS)),
         *((line, ["file"]) for line in ("infer str", "label str", "evaluate a b --detector ./")),
         *((line, ["file"]) for line in ("train --config none", "train --images str")),
         ("infer --detector nothing-of-that-name", []),

@@ -3,21 +3,17 @@
 import csv
 import json
 import re
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
-import roadtorch.base.plugins
-import roadtorch.data.catalogue
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.camvid import CLASSES11, COLOURS32, segnet_split
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, DatasetFormat, LabelledItem, Truth, leave_out
+from roadtorch.data.dataset import Dataset, DatasetFormat, leave_out
 from roadtorch.data.label_folders import add_conditions
 from tests.data.conftest import write
 
@@ -289,67 +285,3 @@ def test_the_documented_set(tmp_path):
     assert dataset.groups() == ["pass", "valley"]
     assert truth.road[0].tolist() == [False, True, True, False]
     assert truth.valid[0].tolist() == [True, True, True, False]
-
-
-# --- other packages ------------------------------------------------------------------------------
-
-
-class BottomHalf:
-    """Reader without files: the lower half is road."""
-
-    def truth(self, item: LabelledItem) -> Truth:
-        road = torch.zeros(4, 6, dtype=torch.bool)
-        road[2:] = True
-        return Truth(road, torch.ones_like(road))
-
-
-def open_foreign(root: Path, split: str) -> Dataset:
-    paths = [path for path in sorted(root.glob("*.png")) if split in path.stem]
-    items = tuple(LabelledItem(path.stem, path, path) for path in paths)
-    return Dataset("theirs", root, split, items, BottomHalf())
-
-
-FOREIGN = DatasetFormat(("day", "night"), open_foreign)
-NO_FORMAT = open_foreign
-
-
-def offer(monkeypatch: pytest.MonkeyPatch, **points: str) -> dict[str, DatasetFormat]:
-    """Register these entry points of another package and return all formats of sets."""
-    entry_points = [
-        EntryPoint(name, f"tests.data.test_sets:{value}", "roadtorch.datasets")
-        for name, value in points.items()
-    ]
-    monkeypatch.setattr(roadtorch.base.plugins, "entry_points", lambda group: entry_points)
-    formats = roadtorch.data.catalogue._catalogue.__wrapped__()
-    monkeypatch.setattr(roadtorch.data.catalogue, "_catalogue", lambda: formats)
-    return formats
-
-
-def test_other_packages_add_sets(monkeypatch, tmp_path):
-    offer(monkeypatch, theirs="FOREIGN")
-    Image.fromarray(np.zeros((4, 6, 3), np.uint8)).save(tmp_path / "day_1.png")
-
-    dataset = open_dataset("theirs", tmp_path)
-    image, truth = dataset.read(dataset.items[0])
-
-    assert (dataset.split, dataset.levels, dataset.scoring_space) == ("day", 65_536, None)
-    assert image.shape == (3, 4, 6)
-    assert truth.road.sum() == 12
-    with pytest.raises(DatasetError, match="holds no images of the split night"):
-        open_dataset("theirs", tmp_path, "night")
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("theirs", "MISSING", "'theirs' of .* cannot be used"),
-        ("theirs", "NO_FORMAT", "is function .refer to a DatasetFormat"),
-        ("camvid", "FOREIGN", "camvid: is the name of another set"),
-    ],
-)
-def test_a_broken_package_costs_only_its_own(monkeypatch, name, value, message):
-    with pytest.warns(RuntimeWarning, match=message):
-        formats = offer(monkeypatch, **{name: value, "good": "FOREIGN"})
-
-    assert formats["good"] is FOREIGN
-    assert formats["camvid"] is not FOREIGN
