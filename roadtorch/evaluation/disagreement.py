@@ -73,7 +73,7 @@ def select_changed(ranked: Sequence[Disagreement], count: int) -> list[Disagreem
     """
     if len(ranked) <= count:
         return list(ranked)
-    largest, remaining = ranked[: count - count // 2], ranked[count - count // 2 :]
     steps = count // 2
+    largest, remaining = ranked[: count - steps], ranked[count - steps :]
     indices = ((step + 1) * len(remaining) // steps - 1 for step in range(steps))
     return [*largest, *(remaining[i] for i in indices)]

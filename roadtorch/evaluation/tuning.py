@@ -13,8 +13,6 @@ from roadtorch.evaluation.methods import Contender
 from roadtorch.evaluation.report.table import Cell, Table, format_number
 from roadtorch.evaluation.result import Evaluation, summarise
 
-THRESHOLD_DIGITS = 3  # of a threshold in a config
-
 
 @dataclass(frozen=True)
 class ThresholdChoice:
@@ -43,7 +41,7 @@ def tune_threshold(evaluation: Evaluation, name: str) -> ThresholdChoice:
     contender = scores.contender
     if math.isnan(scores.best_threshold):
         raise DatasetError(evaluation.dataset.root, "shows no road", "give images with road")
-    best = {"threshold": round(scores.best_threshold, THRESHOLD_DIGITS)}
+    best = {"threshold": round(scores.best_threshold, 3)}
     tuned = detector_entry(contender.detector).make_settings({**contender.settings, **best})
     default, chosen = (
         summarise(

@@ -119,13 +119,12 @@ def layout_table(evaluation: Evaluation, names: Sequence[str], limit: int | None
         for group, scores in (*sorted(detector.groups.items()), ("mean", detector.headline))
         if keys & scores.keys()
     }
-    count = len(rows)
-    if limit is not None and count > limit:
-        rows = {key: scores for key, scores in rows.items() if key[1] == "mean"}
-    table = Table("layout", [name for name, _ in rows], omitted=count - len(rows))
-    table.add("group", [Cell(group) for _, group in rows])
+    is_long = limit is not None and len(rows) > limit
+    shown = {key: scores for key, scores in rows.items() if not is_long or key[1] == "mean"}
+    table = Table("layout", [name for name, _ in shown], omitted=len(rows) - len(shown))
+    table.add("group", [Cell(group) for _, group in shown])
     for measure in measures:
-        table.add_measure(measure, rows.values(), is_ranked=False)
+        table.add_measure(measure, shown.values(), is_ranked=False)
     return table
 
 
