@@ -224,6 +224,11 @@ class Augmentation(Settings):
     underexposed: Fraction = Field(default=0.0, description="darkened to a mean of 0.05 to 0.2")
     blurred: Fraction = Field(default=0.0, description="blurred over 3×3 pixels")
 
+    def scale_effects(self, factor: float) -> "Augmentation":
+        """Return the settings with the fractions of images that get an effect times a factor."""
+        fractions = self.model_dump(exclude={"geometry", "ego_growth"})
+        return self.model_copy(update={name: value * factor for name, value in fractions.items()})
+
 
 class TrainingRound(Settings):
     """A round of a self-training."""
@@ -244,6 +249,9 @@ class TrainingRound(Settings):
     )
     target: float = Field(
         default=0.0, ge=0, lt=1, description="fraction of training samples that are target images"
+    )
+    effects: Fraction = Field(
+        default=1.0, description="factor on the fractions of [augmentation] but its geometry"
     )
 
 

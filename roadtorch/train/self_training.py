@@ -299,7 +299,9 @@ class SelfTrainingRecipe(Recipe):
         cars = group_ego_cars(source, kinds)
         chances = reweight(torch.tensor(weights), is_target, fraction)
         common = ([*source, *labels], chances, cars, inputs.number, inputs.device)
-        return DomainSamples(training, *common, labels=labels)
+        effects = training.rounds[inputs.number - 1].effects
+        changes = {"augmentation": training.augmentation.scale_effects(effects)}
+        return DomainSamples(training.model_copy(update=changes), *common, labels=labels)
 
     def _label(self, inputs: TrainingInputs, stop: StopRequest, quiet: bool) -> dict[Path, Path]:
         """Label the target images with the newest networks; return files of labels."""
