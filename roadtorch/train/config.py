@@ -10,7 +10,7 @@ from roadtorch.base.errors import ConfigError, unknown_name_error
 from roadtorch.base.settings import Settings, build_settings
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.imaging.slic import Superpixels
-from roadtorch.layout.backbone_network import BackboneName, BackboneNetworkSettings
+from roadtorch.layout.backbone_network import BackboneNetworkSettings
 from roadtorch.layout.image_network import UpperRows
 from roadtorch.layout.labeller import LabellerSettings
 from roadtorch.layout.patch_network import PatchNetworkSettings
@@ -233,10 +233,6 @@ class Augmentation(Settings):
 class TrainingRound(Settings):
     """A round of a self-training."""
 
-    backbone: Literal["", BackboneName] = Field(
-        default="",
-        description="backbone of the network that learns in the round; empty: network.backbone",
-    )
     epochs: int = Field(default=1, ge=1, le=10**5, description="epochs of the round")
     learning_rate: float = Field(
         default=0.0,
@@ -271,7 +267,7 @@ class SourceImages(Settings):
 
 
 class TargetImages(Settings):
-    """Use of target images: real ones, labelled by the networks of the rounds before."""
+    """Use of target images: real ones, labelled by the network of the rounds before."""
 
     balance: Fraction = Field(
         default=0.2, description="a recording of n images has the sampling weight n^(1 - balance)"
@@ -292,8 +288,7 @@ class SelfTraining(CommonTraining):
 
     Unsupervised domain adaptation by self-training: in the first round the network learns from the
     truth of source images; before each later one the detector with that network labels the target
-    images. Where rounds name several backbones, their networks label together (co-training; Blum
-    and Mitchell, COLT 1998).
+    images.
     """
 
     name: ClassVar[str] = "self-training"
@@ -325,14 +320,6 @@ class SelfTraining(CommonTraining):
         default=0, ge=0, le=32, description="first blocks of the backbone that never learn"
     )
     descent: Descent = Descent(method="adam", learning_rate=0.001, schedule="cosine", batch=16)
-
-    def backbone_of(self, number: int) -> BackboneName:
-        """Return the backbone of the network that learns in a round, from 1."""
-        return self.rounds[number - 1].backbone or self.network.backbone
-
-    def newest_rounds(self, number: int) -> dict[BackboneName, int]:
-        """Return the last round before a round, from 1, of each backbone that has one."""
-        return {self.backbone_of(earlier): earlier for earlier in range(1, number)}
 
 
 class ImageTraining(CommonTraining):
@@ -381,18 +368,11 @@ def build_training(values: dict[str, Any]) -> Training:
 
 def check_initial_weights(settings: ImageTraining | SelfTraining) -> None:
     """Raise ConfigError where a new network's backbone and its initial weights disagree."""
-    initial, backbones = settings.initial_weights, {"network.backbone": settings.network.backbone}
-    if isinstance(settings, SelfTraining):
-        for number, _ in enumerate(settings.rounds):
-            backbones[f"rounds.{number}.backbone"] = settings.backbone_of(number + 1)
-    for key, backbone in backbones.items():
-        if settings.is_new and (initial == IMAGENET) == (backbone == "none"):
-            message = f"is {initial or 'empty'}, but {key} is {backbone}"
-            hint = 'give imagenet with lite0 or lite2, and "" with none'
-            raise ConfigError("initial_weights", message, hint)
-        if not settings.is_new and backbone != settings.network.backbone:
-            message = f"is {backbone}, but initial_weights has one network"
-            raise ConfigError(key, message, "leave it out")
+    initial, backbone = settings.initial_weights, settings.network.backbone
+    if settings.is_new and (initial == IMAGENET) == (backbone == "none"):
+        message = f"is {initial or 'empty'}, but network.backbone is {backbone}"
+        hint = 'give imagenet with lite0 or lite2, and "" with none'
+        raise ConfigError("initial_weights", message, hint)
 
 
 def as_values(settings: Training) -> dict[str, object]:

@@ -230,16 +230,16 @@ class TrainingRun:
         progress = _read_progress(state, path / CHECKPOINT) if state else TrainingProgress()
         inputs = TrainingInputs(trained, corrected, self.initial, path)
         inputs = inputs._replace(device=self.request.device)
-        initial = self.initial or make_network(self.training)
+        network = self.initial or make_network(self.training)
         while True:
-            network = self.recipe.network_of_round(initial, path, progress.round)
             loop = self._train_round(network, inputs, progress, state, validation)
             network, state = loop.average.eval(), None
             network.load_state_dict(loop.best)
             if not progress.finished:
                 break
-            self.recipe.finish_round(network, path, progress.round)
+            result = self.recipe.finish_round(network, path, progress.round)
             if progress.round == self.recipe.rounds:
+                network = result
                 break
             progress = TrainingProgress(progress.round + 1, rows=progress.rows)
         self._write(network, progress, len(trained), inherited)
@@ -259,7 +259,7 @@ class TrainingRun:
         """
         request, recipe, number = self.request, self.recipe, progress.round
         samples: Any = recipe.make_samples(inputs._replace(number=number), self.stop, request.quiet)
-        if not state:
+        if number == 1 and not state:
             recipe.initialise(network, samples)
         title = request.title
         if recipe.rounds > 1:

@@ -1,17 +1,21 @@
 """Self-training: a network learns from rendered worlds, then from real images that it labels. Ours.
 
-The networks of `fusion` are made so, in one run from ImageNet's features. Before each round but the
-first the detector with the newest averaged network of each backbone labels the target images
+The networks of `fusion` are made so, each in one run from ImageNet's features. Before each round
+but the first the detector with the mean of the rounds' networks labels the target images
 (unsupervised domain adaptation by self-training; Zou et al., ECCV 2018; DAFormer, Hoyer et al.,
-CVPR 2022).
+CVPR 2022), and that mean is what the run writes (Izmailov et al., "Averaging weights leads to wider
+optima", UAI 2018).
 """
 
+import copy
+import operator
 import random
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from hashlib import sha256
+from itertools import dropwhile
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +35,7 @@ from roadtorch.layout.classes import NUM_CLASSES, VERTICAL
 from roadtorch.layout.image_network import compute_cues, count_upper_rows, resize_rows
 from roadtorch.layout.pretrained import IMAGENET, wheel_package
 from roadtorch.layout.weights import (
-    DEFAULT_WEIGHTS,
     LayoutNetwork,
-    WeightsFile,
-    load_image_network,
     load_network,
     resize_network,
     save_network,
@@ -48,7 +49,7 @@ from roadtorch.train.prepared import Preparation, from_uint8, image_file_name, p
 from roadtorch.train.run_folder import ROUND_WEIGHTS, SHEET
 from roadtorch.train.source import find_source_images, prepare_source, truth_targets
 from roadtorch.train.targets import Targets, split_targets
-from roadtorch.train.training_loop import Batch, Recipe, TrainingInputs, seed_torch
+from roadtorch.train.training_loop import Batch, Recipe, TrainingInputs
 from roadtorch.train.whole_images import (
     AugmentedImages,
     balanced_weights,
@@ -79,15 +80,12 @@ SHEET_TILES, TILE_SIZE = (4, 4), (240, 320)
 
 
 class SelfTeacher:
-    """`fusion` with networks: labels averaged over them, over sizes of the input, and mirrored."""
+    """`fusion` with a network: labels averaged over sizes of its input, and mirrored."""
 
-    def __init__(self, weights: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> None:
-        self._detector = load_detector("fusion", weights={"file": str(weights[0])}, crops=CROPS)
+    def __init__(self, weights: Path, sizes: Sequence[tuple[int, int]]) -> None:
+        self._detector = load_detector("fusion", weights={"file": str(weights)}, crops=CROPS)
         self._fusion: Any = self._detector.get_submodule("analysis")
-        networks = [
-            load_image_network(WeightsFile(file=str(file)), DEFAULT_WEIGHTS) for file in weights
-        ]
-        self._networks = [resize_network(net, *size) for net in networks for size in sizes]
+        self._networks = [resize_network(self._fusion.network, *size) for size in sizes]
 
     def label(self, image: Tensor) -> Tensor:
         """Return sky, vertical, horizontal, road and not ego car (5, H, W) of an image (3, H, W).
@@ -237,21 +235,9 @@ class SelfTrainingRecipe(Recipe):
 
     # --- network ----------------------------------------------------------------------------
 
-    def network_of_round(self, network: LayoutNetwork, out: Path, number: int) -> LayoutNetwork:
-        """Return the network of the last round with the backbone of a round; a new one without."""
-        training, backbone = self._training, self._training.backbone_of(number)
-        if last := training.newest_rounds(number).get(backbone):
-            return load_network(round_weights(out, last))
-        if backbone == training.network.backbone:
-            return network
-        with seed_torch(training.random_seed, 0):
-            return BackboneNetwork(training.network.model_copy(update={"backbone": backbone}))
-
     def initialise(self, network: nn.Module, samples: DomainSamples) -> None:
         """Give a new network its initial weights."""
-        training = self._training
-        if training.backbone_of(samples.number) not in training.newest_rounds(samples.number):
-            initialise_network(network, samples, training)
+        initialise_network(network, samples, self._training)
 
     # --- rounds -----------------------------------------------------------------------------
 
@@ -304,11 +290,13 @@ class SelfTrainingRecipe(Recipe):
         return DomainSamples(training.model_copy(update=changes), *common, labels=labels)
 
     def _label(self, inputs: TrainingInputs, stop: StopRequest, quiet: bool) -> dict[Path, Path]:
-        """Label the target images with the newest networks; return files of labels."""
+        """Label the target images with the mean of the rounds before; return files of labels."""
         training = self._training
-        newest = training.newest_rounds(inputs.number).values()
-        weights = [round_weights(inputs.out, number) for number in newest]
-        weights = weights or [weights_path(training.initial_weights)]
+        weights = (
+            round_weights(inputs.out, inputs.number - 1)
+            if inputs.number > 1
+            else weights_path(training.initial_weights)
+        )
         sizes = sorted({min(training.sizes), max(training.sizes)})
         teacher = SelfTeacher(weights, sizes)
         size = self._size[0] // STRIDE, self._size[1] // STRIDE
@@ -319,20 +307,33 @@ class SelfTrainingRecipe(Recipe):
         items = [self._images[name] for name in files]
 
         def key(image: Item) -> str:
-            return cache_key(*weights, sizes, size, image.path)
+            return cache_key(weights, sizes, size, image.path)
 
         preparation = Preparation(inputs.labels, key, partial(teacher.compute, size=size))
         labelled = prepare(items, preparation, stop, quiet)
         return {files[item.name]: item.file for item in labelled if item.file}
 
-    def finish_round(self, network: nn.Module, out: Path, number: int) -> None:
-        """Write the weights of a round and a sheet of target images with their road."""
+    def finish_round(self, network: LayoutNetwork, out: Path, number: int) -> LayoutNetwork:
+        """Write the mean of the rounds from the first whose backbone learns on; return it.
+
+        Earlier it is the network. Writes also a sheet of target images with its road.
+        """
         path, sheet = round_weights(out, number), out / SHEET.format(number)
-        if sheet.exists():  # of an interrupted run
-            return
-        assert isinstance(network, BackboneNetwork)
-        save_network(path, network, {"round": number})
-        detector = load_detector("fusion", weights={"file": str(path)})
+        if not sheet.exists():  # else of an interrupted run
+            factors = [entry.backbone_factor for entry in self._training.rounds[:number]]
+            count, mean = len([*dropwhile(operator.not_, factors)]), copy.deepcopy(network)
+            if count > 1:
+                previous = load_network(round_weights(out, number - 1)).state_dict()
+                for name, weight in mean.state_dict().items():
+                    if weight.is_floating_point():
+                        weight.lerp_(previous[name].to(weight), 1 - 1 / count)
+            save_network(path, mean, {"round": number})
+            self._write_sheet(sheet, path)
+        return load_network(path)
+
+    def _write_sheet(self, sheet: Path, weights: Path) -> None:
+        """Write target images with the road that `fusion` finds by a weight file."""
+        detector = load_detector("fusion", weights={"file": str(weights)})
         rows, columns = SHEET_TILES
         tiles = list[np.ndarray]()
         for file in evenly_spaced(self._files, rows * columns)[: rows * columns]:
@@ -346,8 +347,7 @@ class SelfTrainingRecipe(Recipe):
 
     def format_card(self, origin: Mapping[str, object], command: str) -> str:
         """Format the card beside the weights of a run."""
-        training = self._training
-        backbone = training.backbone_of(len(training.rounds))
+        training, backbone = self._training, self._training.network.backbone
         weights = training.initial_weights or "random weights"
         if weights == IMAGENET:
             package = wheel_package(backbone).replace("_", "-")
@@ -360,8 +360,7 @@ class SelfTrainingRecipe(Recipe):
             "backbone": f"{backbone}, from {weights}",
             "source": f"{len(source)} images with a renderer's truth ({counts})",
             "source's names": f"SHA-256 {names_digest(source)}",
-            "target": f"{len(targets)} images, labelled by the run's own networks "
-            f"({', '.join(training.newest_rounds(len(training.rounds) + 1))})",
+            "target": f"{len(targets)} images, labelled by the run's own network",
             "target's names": f"SHA-256 {names_digest(targets)}",
             "command": f"`{command}`" if command else "",
             "seed": str(training.random_seed),

@@ -135,15 +135,12 @@ class Recipe:
         """Return the parameters that learn in a round: ``params``, and ``factor`` on their rate."""
         return [{"params": list(network.parameters()), "factor": 1.0}]
 
-    def network_of_round(self, network: LayoutNetwork, out: Path, number: int) -> LayoutNetwork:
-        """Return the network that learns in a round; ``network`` is that of the first."""
-        return network
-
     def initialise(self, network: nn.Module, samples: Any) -> None:
-        """Set what depends on samples in a new network, before its first round."""
+        """Set what depends on samples in a new network, before the first round."""
 
-    def finish_round(self, network: nn.Module, out: Path, number: int) -> None:
-        """Write the results of a round with its averaged network."""
+    def finish_round(self, network: LayoutNetwork, out: Path, number: int) -> LayoutNetwork:
+        """Write the results of a round with its averaged network; return that of the run so far."""
+        return network
 
 
 WARM_UP_STEPS = 10

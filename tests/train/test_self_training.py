@@ -10,18 +10,14 @@ import torch
 
 from roadtorch import load_detector
 from roadtorch.base.errors import ConfigError
-from roadtorch.base.settings import merge
 from roadtorch.base.signals import StopRequest
 from roadtorch.inputs.images import find_images
-from roadtorch.layout.backbone_network import BACKBONES, Backbone, BackboneNetwork
-from roadtorch.layout.pretrained import load_imagenet_weights
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.weights import load_network, save_network
-from roadtorch.road.bayes import log_odds
 from roadtorch.run.memo import read_arrays
-from roadtorch.train.config import SelfTraining, as_values, build_training
+from roadtorch.train.config import SelfTraining, build_training
 from roadtorch.train.run import TrainingRequest, make_network, make_recipe, prepare_folder, train
 from roadtorch.train.self_training import (
-    SelfTeacher,
     SelfTrainingRecipe,
     label_targets,
     round_weights,
@@ -29,8 +25,7 @@ from roadtorch.train.self_training import (
 )
 from roadtorch.train.training_loop import TrainingInputs
 from tests.command import Call
-from tests.draws import seeded_generator
-from tests.networks import write_random_network, write_wheel
+from tests.networks import write_random_network
 from tests.train.runs import (
     SELF_TRAINING,
     interrupt_after,
@@ -113,45 +108,6 @@ def test_the_command_takes_source_images(
     assert re.search(r"\| command \| `roadtorch train .*--source ", card)
 
 
-def test_two_backbones_learn_in_turn_from_their_labels(
-    request_of_run: TrainingRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("lite0", "lite2"):
-        write_wheel(tmp_path, name, Backbone(BACKBONES[name]))
-    monkeypatch.syspath_prepend(tmp_path)
-    rounds = [{"backbone": name, "backbone_factor": 0.0} for name in ("lite0", "lite2")]
-    rounds += [{"backbone": "lite0", "backbone_factor": 0.0, "target": 0.5}]
-    changes = {"initial_weights": "imagenet", "network": {"backbone": "lite2"}, "rounds": rounds}
-    training = build_training(merge(as_values(training_of("self-training")), changes))
-    request = replace(request_of_run, out=tmp_path / "run")
-    for steps in (3, 2):  # in the second round, in the last
-        with monkeypatch.context() as patch:
-            interrupt_after(steps, patch)
-            assert train(training, request).interrupted
-
-    assert train(training, request).weights
-
-    networks: list[Any] = [load_network(round_weights(request.out, k)) for k in (1, 2, 3)]
-    assert [network.settings.backbone for network in networks] == ["lite0", "lite2", "lite0"]
-    states = [network.backbone.state_dict() for network in networks]
-    load_imagenet_weights(expected := Backbone(BACKBONES["lite2"]), "lite2")
-    for name, weight in expected.state_dict().items():
-        torch.testing.assert_close(states[1][name], weight, atol=1e-5, rtol=1e-3)
-    assert all(torch.equal(weight, states[2][name]) for name, weight in states[0].items())
-
-
-def test_labels_are_the_mean_of_the_networks(tmp_path: Path) -> None:
-    files = [write_random_network(tmp_path / f"{seed}.safetensors", seed) for seed in (1, 2)]
-    image, sizes = torch.rand(3, 48, 64, generator=seeded_generator(6)), [(32, 64)]
-
-    first, second = (SelfTeacher([file], sizes).label(image) for file in files)
-    both = SelfTeacher(files, sizes).label(image)
-
-    expected = ((log_odds(first[3]) + log_odds(second[3])) / 2).sigmoid()
-    torch.testing.assert_close(both[3], expected)
-    torch.testing.assert_close(both[:3], (first[:3] + second[:3]) / 2)
-
-
 def test_a_foreign_sheet_is_not_replaced(request_of_run: TrainingRequest, tmp_path: Path) -> None:
     (tmp_path / "sheet-2.jpg").touch()
     with pytest.raises(ConfigError, match=r"sheet-2.jpg: exists and was not written by roadtorch"):
@@ -229,6 +185,25 @@ def test_half_of_a_batch_is_target_and_a_first_round_has_none(
     assert 0 <= batch.inputs.min() <= batch.inputs.max() <= 1
 
 
+def test_a_run_writes_the_mean_of_the_rounds_in_which_the_backbone_learned(
+    request_of_run: TrainingRequest, tmp_path: Path
+) -> None:
+    factors = ", ".join(f"{{backbone_factor = {factor}}}" for factor in (0.0, 0.4, 0.4, 0.4))
+    rounds = Round(request_of_run, tmp_path, f"rounds=[{factors}]")
+    rounds.samples(1)
+    files = [write_random_network(tmp_path / f"{seed}.safetensors", seed) for seed in range(4)]
+    networks = [load_network(file) for file in files]
+
+    finish = rounds.recipe.finish_round
+    written = [finish(network, tmp_path, number) for number, network in enumerate(networks, 1)]
+
+    for count, members in ((1, [0]), (2, [1]), (3, [1, 2]), (4, [1, 2, 3])):
+        for name, weight in written[count - 1].state_dict().items():
+            parts = [networks[member].state_dict()[name].double() for member in members]
+            expected = torch.stack(parts).mean(0).to(weight)
+            torch.testing.assert_close(weight, expected, atol=2e-3, rtol=2e-3)
+
+
 @pytest.mark.parametrize(
     ("number", "frozen", "learning"), [(1, 0, set()), (2, 0, {"stem", "blocks"}), (2, 15, set())]
 )
@@ -287,14 +262,6 @@ def test_borders_of_road_and_vertical_weigh_where_truth_is_exact() -> None:
         (
             {"initial_weights": "imagenet", "rounds": [{"target": 0.5}]},
             "rounds.0.target: is not 0, but no network",
-        ),
-        (
-            {"initial_weights": "imagenet", "rounds": [{}, {"backbone": "none"}]},
-            "initial_weights: is imagenet, but rounds.1.backbone is none",
-        ),
-        (
-            {"initial_weights": "backbone-free", "rounds": [{}, {"backbone": "lite2"}]},
-            "rounds.1.backbone: is lite2, but initial_weights has one network",
         ),
         ({"sizes": [[100, 64]]}, "sizes.0.0: 100 was given .*multiple of 32"),
     ],
