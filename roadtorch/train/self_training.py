@@ -8,14 +8,12 @@ optima", UAI 2018).
 """
 
 import copy
-import operator
 import random
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from hashlib import sha256
-from itertools import dropwhile
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +66,9 @@ STRIDE = 2
 
 CROPS = (0.3,)
 """Crops of the detector that labels (``FusionSettings.crops``)."""
+
+ROUND_DECAY = 0.5
+"""Weight of the mean so far in that of the rounds; the averages of two rounds err elsewhere."""
 
 MIN_EGO = 0.7
 """Mean of detected ego car and its potential from which a target's pixel is ego car."""
@@ -314,19 +315,19 @@ class SelfTrainingRecipe(Recipe):
         return {files[item.name]: item.file for item in labelled if item.file}
 
     def finish_round(self, network: LayoutNetwork, out: Path, number: int) -> LayoutNetwork:
-        """Write the mean of the rounds from the first whose backbone learns on; return it.
+        """Write the exponential mean of the rounds whose backbone learned; return it.
 
-        Earlier it is the network. Writes also a sheet of target images with its road.
+        Before the second of these it is the network. Writes also a sheet of target images with its
+        road.
         """
         path, sheet = round_weights(out, number), out / SHEET.format(number)
         if not sheet.exists():  # else of an interrupted run
-            factors = [entry.backbone_factor for entry in self._training.rounds[:number]]
-            count, mean = len([*dropwhile(operator.not_, factors)]), copy.deepcopy(network)
-            if count > 1:
+            mean, earlier = copy.deepcopy(network), self._training.rounds[: number - 1]
+            if any(entry.backbone_factor for entry in earlier):
                 previous = load_network(round_weights(out, number - 1)).state_dict()
                 for name, weight in mean.state_dict().items():
                     if weight.is_floating_point():
-                        weight.lerp_(previous[name].to(weight), 1 - 1 / count)
+                        weight.lerp_(previous[name].to(weight), ROUND_DECAY)
             save_network(path, mean, {"round": number})
             self._write_sheet(sheet, path)
         return load_network(path)

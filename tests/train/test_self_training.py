@@ -185,7 +185,7 @@ def test_half_of_a_batch_is_target_and_a_first_round_has_none(
     assert 0 <= batch.inputs.min() <= batch.inputs.max() <= 1
 
 
-def test_a_run_writes_the_mean_of_the_rounds_in_which_the_backbone_learned(
+def test_a_run_writes_the_exponential_mean_of_the_rounds_whose_backbone_learned(
     request_of_run: TrainingRequest, tmp_path: Path
 ) -> None:
     factors = ", ".join(f"{{backbone_factor = {factor}}}" for factor in (0.0, 0.4, 0.4, 0.4))
@@ -197,7 +197,7 @@ def test_a_run_writes_the_mean_of_the_rounds_in_which_the_backbone_learned(
     finish = rounds.recipe.finish_round
     written = [finish(network, tmp_path, number) for number, network in enumerate(networks, 1)]
 
-    for count, members in ((1, [0]), (2, [1]), (3, [1, 2]), (4, [1, 2, 3])):
+    for count, members in ((1, [0]), (2, [1]), (3, [1, 2]), (4, [1, 2, 3, 3])):
         for name, weight in written[count - 1].state_dict().items():
             parts = [networks[member].state_dict()[name].double() for member in members]
             expected = torch.stack(parts).mean(0).to(weight)
