@@ -317,8 +317,7 @@ class SelfTrainingRecipe(Recipe):
     def finish_round(self, network: LayoutNetwork, out: Path, number: int) -> LayoutNetwork:
         """Write the exponential mean of the rounds whose backbone learned; return it.
 
-        Before the second of these it is the network. Writes also a sheet of target images with its
-        road.
+        Before the second it is the network. Writes also a sheet of target images with its road.
         """
         path, sheet = round_weights(out, number), out / SHEET.format(number)
         if not sheet.exists():  # else of an interrupted run

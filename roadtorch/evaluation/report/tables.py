@@ -120,11 +120,11 @@ def layout_table(evaluation: Evaluation, names: Sequence[str], limit: int | None
         if keys & scores.keys()
     }
     is_long = limit is not None and len(rows) > limit
-    shown = {key: scores for key, scores in rows.items() if not is_long or key[1] == "mean"}
-    table = Table("layout", [name for name, _ in shown], omitted=len(rows) - len(shown))
-    table.add("group", [Cell(group) for _, group in shown])
+    listed = {key: scores for key, scores in rows.items() if not is_long or key[1] == "mean"}
+    table = Table("layout", [name for name, _ in listed], omitted=len(rows) - len(listed))
+    table.add("group", [Cell(group) for _, group in listed])
     for measure in measures:
-        table.add_measure(measure, shown.values(), is_ranked=False)
+        table.add_measure(measure, listed.values(), is_ranked=False)
     return table
 
 
