@@ -13,7 +13,7 @@ import torch
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.camvid import CLASSES11, COLOURS32, segnet_split
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, DatasetFormat, leave_out
+from roadtorch.data.dataset import Dataset, leave_out
 from roadtorch.data.label_folders import add_conditions
 from tests.data.conftest import write
 
@@ -272,16 +272,14 @@ def test_groups_left_out_stay_in_the_set_but_in_no_condition(root):
 def test_the_documented_set(tmp_path):
     blocks = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
     space: dict[str, Any] = {"__name__": __name__}
-    exec(next(block for block in blocks if "MOUNTAIN_ROADS" in block), space)
-    dataset_format = space["MOUNTAIN_ROADS"]
+    exec(next(block for block in blocks if "open_mountain_roads" in block), space)
     for name in ("pass-1", "pass-2", "valley-1"):
         write(tmp_path / f"test/photos/{name}.png", np.zeros((1, 4, 3), np.uint8))
         write(tmp_path / f"test/labels/{name}.png", np.array([[0, 1, 2, 9]], np.uint8))
 
-    dataset = dataset_format.open(tmp_path, dataset_format.splits[0])
+    dataset = space["open_mountain_roads"](tmp_path, "test")
     truth = dataset.read(dataset.items[0])[1]
 
-    assert isinstance(dataset_format, DatasetFormat)
     assert dataset.groups() == ["pass", "valley"]
     assert truth.road[0].tolist() == [False, True, True, False]
     assert truth.valid[0].tolist() == [True, True, True, False]
