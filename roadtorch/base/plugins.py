@@ -1,4 +1,4 @@
-"""Plugins of other packages through entry points; a broken one becomes a warning."""
+"""Detectors of other packages through entry points; a broken one becomes a warning."""
 
 import warnings
 from collections.abc import Callable
@@ -7,12 +7,11 @@ from importlib.metadata import entry_points
 from roadtorch.base.signals import record_signals
 
 
-def load_plugins(group: str, feature: str, add: Callable[[str, object], None]) -> None:
+def load_plugins(group: str, add: Callable[[str, object], None]) -> None:
     """Load every entry point of a group, sorted by name, and call ``add(name, loaded)``.
 
-    feature: what warnings call them. Any exception of one of them, SystemExit at import included,
-    becomes a RuntimeWarning that names it. Ctrl-C or SIGTERM meanwhile is raised, whatever the
-    package makes of it.
+    Any exception of one of them, SystemExit at import included, becomes a RuntimeWarning that names
+    it. Ctrl-C or SIGTERM meanwhile is raised, whatever the package makes of it.
     """
     for point in sorted(entry_points(group=group), key=lambda point: point.name):
         error: BaseException | None = None
@@ -25,5 +24,5 @@ def load_plugins(group: str, feature: str, add: Callable[[str, object], None]) -
         if error is not None:
             package = point.dist.name if point.dist else point.value
             cause = str(error) if isinstance(error, Exception) else "it ends the process"
-            message = f"{feature} {point.name!r} of {package} cannot be used: {cause}"
+            message = f"detectors {point.name!r} of {package} cannot be used: {cause}"
             warnings.warn(message, RuntimeWarning, stacklevel=2)

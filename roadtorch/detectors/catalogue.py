@@ -235,5 +235,5 @@ def _catalogue() -> dict[str, Entry]:
         for entry in offered if isinstance(offered, Iterable) else (offered,):
             _add(entry, entries)
 
-    load_plugins(DETECTOR_ENTRY_POINTS, "detectors", add)
+    load_plugins(DETECTOR_ENTRY_POINTS, add)
     return entries

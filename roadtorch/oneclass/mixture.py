@@ -135,18 +135,17 @@ def k_means_plus_plus(samples: Tensor, numbers: Tensor, generator: torch.Generat
     largest.
     """
     max_count = int(numbers.max())
-    runs, weights = torch.arange(len(numbers)), samples.new_ones(len(numbers), len(samples))
-    probabilities, nearest = weights.clone(), samples.new_full(weights.shape, math.inf)
-    owner = torch.zeros(weights.shape, dtype=torch.int64)
+    runs, equal = torch.arange(len(numbers)), samples.new_ones(len(numbers), len(samples))
+    probabilities, nearest = equal, torch.full_like(equal, math.inf)
+    owner = torch.zeros(equal.shape, dtype=torch.int64)
     for number in range(max_count):
         chosen = torch.multinomial(probabilities, 1, generator=generator)[:, 0]
         squared = (samples - samples[chosen][:, None]).square().sum(-1)
         closer = (squared < nearest) & (number < numbers)[runs, None]
         owner.masked_fill_(closer, number)
         nearest = torch.where(closer, squared, nearest)
-        probabilities = nearest
         # Fewer distinct samples than starts: sample any; it stays without members.
-        probabilities = torch.where(probabilities.sum(1, keepdim=True) > 0, probabilities, weights)
+        probabilities = torch.where(nearest.sum(1, keepdim=True) > 0, nearest, equal)
     return torch.nn.functional.one_hot(owner, max_count).mT.to(samples.dtype)
 
 

@@ -46,13 +46,7 @@ ALONE = AGREEMENT.model_copy(update={"combine": "teacher"})
     ("teacher", "network", "settings", "expected", "counted"),
     [
         (UNSURE, None, AGREEMENT, UNSURE, ([1, 0, 1], [1, 1, 1])),  # only certain pixels count
-        (
-            SURE,
-            NETWORK,
-            AGREEMENT,
-            (SURE + NETWORK[:, :4]) / 2,
-            ([1, 0, 1], [1, 0, 0]),
-        ),  # agreement
+        (SURE, NETWORK, AGREEMENT, (SURE + NETWORK[:, :4]) / 2, ([1, 0, 1], [1, 0, 0])),
         (SURE, NETWORK, ALONE, SURE, ([1, 1, 1], [1, 1, 1])),
     ],
 )
