@@ -165,30 +165,27 @@ misused: Any = catalogue_module  # calls that a type checker refuses
             ),
             "other: returns likelihoods from 0 to 3",
         ),
-        (
-            lambda: misused.register_detector(Brightness),
-            "name: is Brightness .write @register_detector",
-        ),
+        (lambda: misused.register_detector(Brightness), "name: is Brightness .write @register_d"),
         (lambda: load_detector("many:<gain>:<kind>"), "is a grid of many detectors .name one; 'm"),
         (lambda: list_detectors("*:1:*"), r"\*:1:\*: matches only .* many:<gain>:<kind> \(be"),
         (lambda: load_detector("0"), "known: bright, many:<gain>:<kind>, zebra"),
-        (
-            lambda: misused.load_detector({"gain": 2}, "bright"),
-            "settings: got str by position .write load",
-        ),
-        (
-            lambda: misused.load_detector("bright", {"gain": 2}),
-            "settings: got dict by position .write lo",
-        ),
-        (
-            lambda: misused.load_detector({"gain": 2}),
-            "name: got dict by position .write load_detector",
-        ),
+        (lambda: misused.load_detector({"gain": 2}, "bright"), "settings: got str by position"),
+        (lambda: misused.load_detector("bright", {"gain": 2}), "settings: got dict by position"),
+        (lambda: misused.load_detector({"gain": 2}), "name: got dict by position .write load_det"),
     ],
 )
 def test_what_is_no_detector_is_refused(call: Callable[[], object], problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
         call()
+
+
+@pytest.mark.usefixtures("with_grid")
+def test_a_likelihood_out_of_range_by_rounding_is_clamped() -> None:
+    register_detector("other", Simple)(lambda _: Silent({"likelihood": 1.000005 * torch.eye(16)}))
+
+    detection = load_detector("other").detect(torch.rand(3, 16, 16))
+
+    assert torch.equal(detection.likelihood, torch.eye(16))
 
 
 @pytest.mark.usefixtures("with_grid")

@@ -123,7 +123,7 @@ class Session:
     views: ViewStore
     out: Path
     trusts: dict[str, float] = field(default_factory=dict)
-    _logs: dict[str, EventLog] = field(default_factory=dict, repr=False)
+    _logs: dict[str, tuple[ImageView, EventLog]] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
     _summaries: dict[Path, tuple[int, Summary | None]] = field(default_factory=dict, repr=False)
 
@@ -202,14 +202,14 @@ class Session:
             return self._page_state(name, log, view)
 
     def _log(self, name: str, view: ImageView) -> EventLog:
-        """Return the log of an image; the last ``MAX_LOGS`` are kept in memory."""
-        log = self._logs.pop(name, None)
-        if log is None or log.header.sha256 not in ("", file_digest(self.images.root / name)):
+        """Return the log of the image of a view; the last ``MAX_LOGS`` are kept in memory."""
+        opened, log = self._logs.pop(name, (None, None))
+        if log is None or opened is not view:  # the image was replaced, or its view computed again
             log = open_log(self.images, self.out, name, view.size)
         if log.size != view.size:
             message = f"was corrected at {log.header.width} by {log.header.height} pixels"
             raise InputError(name, message, f"its size has changed; move {log.path.name} away")
-        self._logs[name] = log
+        self._logs[name] = view, log
         if len(self._logs) > MAX_LOGS:
             del self._logs[next(iter(self._logs))]
         return log

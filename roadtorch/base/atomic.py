@@ -29,8 +29,7 @@ LOCK_TIMEOUT = 1.0
 
 HINTS = {
     errno.ENAMETOOLONG: "give it a shorter name",
-    errno.ENOSPC: "make room, or choose a folder with room",
-    errno.EDQUOT: "make room, or choose a folder with room",
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "make room, or choose a folder with room"),
     None: "check that the disk has room and is intact",
 }
 """Hints for files that cannot be written, by errno; None for errors without a number."""
@@ -40,19 +39,15 @@ OUT_HINT = "give another --out"
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "'")
 """First characters of cells that spreadsheets take for a formula, and of escaped cells."""
 
-# --- digests ----------------------------------------------------------------------------
-
 
 def file_digest(path: Path, data: bytes | None = None) -> str:
-    """Return the SHA-256 of a file's bytes, if given ``data``; "" if it is no readable file."""
+    """Return the SHA-256 of ``data``, else of a file's bytes; "" if it is no readable file."""
     if data is not None:
         return hashlib.sha256(data).hexdigest()
-    try:
+    with suppress(OSError):
         if path.is_file():
             with path.open("rb") as file:
                 return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
-        pass
     return ""
 
 
@@ -93,8 +88,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         raise write_error(path, error) from None
     finally:
-        # If even looking for the file fails, there is none to remove.
-        with suppress(OSError):
+        with suppress(OSError):  # if even looking for it fails, there is none to remove
             temporary.unlink(missing_ok=True)
 
 
@@ -108,9 +102,8 @@ def remove_leftovers(folders: Iterable[Path]) -> None:
     """Remove temporary files of killed processes; no process may be writing to the folders."""
     for folder in folders:
         with suppress(OSError):
-            for path in folder.iterdir():
-                if LEFTOVER.fullmatch(path.name):
-                    path.unlink(missing_ok=True)
+            for path in filter(lambda path: LEFTOVER.fullmatch(path.name), folder.iterdir()):
+                path.unlink(missing_ok=True)
 
 
 # --- locks ------------------------------------------------------------------------------
@@ -136,8 +129,9 @@ def lock_folder(folder: Path) -> Iterator[None]:
         end = monotonic() + LOCK_TIMEOUT
         while _lock(handle, exclusive=True) is False:
             if monotonic() > end:
-                hint = f"wait for it, or {OUT_HINT}"
-                raise InputError(folder, "another run is writing here", hint)
+                raise InputError(
+                    folder, "another run is writing here", f"wait for it, or {OUT_HINT}"
+                )
             sleep(LOCK_TIMEOUT / 50)
         remove_leftovers([folder])
         yield
@@ -249,8 +243,7 @@ def _write_results(folder: Path, ledger: Mapping[str, str]) -> None:
     if not ledger:
         (folder / RESULTS_FILE).unlink(missing_ok=True)
     elif ledger != read_results(folder):
-        text = json.dumps(ledger, indent=0, sort_keys=True)
-        write_text(folder / RESULTS_FILE, f"{text}\n")
+        write_text(folder / RESULTS_FILE, json.dumps(ledger, indent=0, sort_keys=True) + "\n")
 
 
 def _make_finder(folder: Path) -> Callable[[str], str | None]:
@@ -266,7 +259,7 @@ def _make_finder(folder: Path) -> Callable[[str], str | None]:
     def find(name: str) -> str | None:
         name += "{}" * name.endswith("/")
         parent, start = os.path.split(name.partition("{}")[0])
-        names, pattern = names_in(parent), glob.escape(name).replace("{}", "*")
+        names, pattern = names_in(parent), _pattern(name)
         for number in range(bisect_left(names, start), len(names)):
             path = f"{parent}/{names[number]}".lstrip("/")
             if fnmatchcase(path, pattern):
@@ -276,6 +269,11 @@ def _make_finder(folder: Path) -> Callable[[str], str | None]:
         return None
 
     return find
+
+
+def _pattern(name: str) -> str:
+    """Return the pattern of ``fnmatchcase`` of a name of ``claim_results``."""
+    return glob.escape(name).replace("{}", "*")
 
 
 def relative_name(path: str | os.PathLike[str], folder: Path) -> str:
@@ -290,13 +288,15 @@ def relative_name(path: str | os.PathLike[str], folder: Path) -> str:
 def make_result_filter() -> Callable[[str], bool]:
     """Return a function that tells whether a path is listed in a ledger beside or above it."""
     results_in = cache(lambda folder: read_results(Path(folder)))
+    patterns_in = cache(lambda folder: [_pattern(n) for n in results_in(folder) if "{}" in n])
 
     def is_result(path: str) -> bool:
         path = folder = os.path.abspath(path)
         while folder != (folder := os.path.dirname(folder)):
             if results := results_in(folder):
                 name = Path(path).relative_to(folder).as_posix()
-                if name in results or f"{name}/" in results:
+                is_listed = name in results or f"{name}/" in results
+                if is_listed or any(fnmatchcase(name, pattern) for pattern in patterns_in(folder)):
                     return True
         return False
 

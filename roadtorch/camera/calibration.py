@@ -157,7 +157,7 @@ def _build_lens(path: str | os.PathLike[str], info: _CameraInfo) -> Lens:
     focal_x, skew, centre_x, shear, focal_y, centre_y, *last = info.matrix
     width, height, region, problem = info.width, info.height, info.roi, ""
     if not np.allclose([shear, *last], [0, 0, 0, 1], atol=1e-6):
-        problem = f"K ends in {', '.join(f'{value:g}' for value in last)}, not in 0, 0, 1"
+        problem = f"K ends in {', '.join(f'{value:g}' for value in info.matrix[3:])}"
     elif abs(skew) * height > 2 * MAX_SKEW * abs(focal_y):
         problem = f"K has a skew of {skew:g}, which is not modelled"
     elif not (0.05 < centre_x / max(width, 1) < 0.95 and abs(centre_y) < 1.5 * height):

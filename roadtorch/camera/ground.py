@@ -49,7 +49,7 @@ class Lens(Settings):
     centre_x: _PrincipalPoint
     centre_y: _PrincipalPoint
     model: Literal["pinhole", "plumb_bob", "rational_polynomial", "equidistant"] = "pinhole"
-    coefficients: tuple[float, ...] = Field(default=(), strict=False)
+    coefficients: tuple[float, ...] = Field(default=(), strict=False, description="OpenCV's order")
     field_of_view: float | None = Field(
         default=None,
         gt=0,

@@ -47,8 +47,8 @@ def _parse_kinds(
     return tuple(kind for kind in choices if kind in requested)
 
 
-def open_viewer() -> "Viewer":
-    """Open the page that shows footage, and print its address."""
+def make_viewer() -> "Viewer":
+    """Return the page that shows footage, and print its address; ConfigError without its extra."""
     from roadtorch.base.errors import ConfigError
 
     try:
@@ -159,7 +159,7 @@ def infer_command(
         placement = build_placement(camera, grid_values, only_bags)
         maps = replace(maps, grids=GridWriter(placement, level))
         effective, key = f"{effective}\n{placement.as_comment()}", (*key, placement)
-    viewer = context.with_resource(open_viewer()) if view else None
+    viewer = context.with_resource(make_viewer()) if view else None
     outputs = MapOutput(maps, inference, save, selection.topic, viewer)
     files = [RUN_FILE, *[COCO_FILE] * ("polygons" in kinds)]
     todo = plan_run(selected, out, maps.suffixes, outputs, files)

@@ -213,7 +213,7 @@ def register_detector(
 
 
 def _add(entry: object, entries: dict[str, Entry]) -> None:
-    """Add an entry to a catalogue; ConfigError if its name is taken, or if it is not an entry."""
+    """Add an entry; ConfigError if it is none, its name is taken or its settings do not fit."""
     if not isinstance(entry, Entry):
         raise ConfigError(repr(entry), "is not an Entry", "name an Entry or a sequence of them")
     if entry.name in entries:

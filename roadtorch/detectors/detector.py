@@ -239,8 +239,8 @@ class Detector(nn.Module):
         if not isinstance(outputs, Mapping) or "likelihood" not in outputs:
             problem = f"returns no likelihood from {type(self.analysis).__name__}.forward"
             raise ConfigError(self.name, problem, "return a mapping with likelihood (H, W)")
-        likelihood = outputs["likelihood"]
-        self._check_likelihood(likelihood, None if settings else spatial_size(image))
+        self._check_likelihood(outputs["likelihood"], None if settings else spatial_size(image))
+        likelihood = outputs["likelihood"].clamp(0, 1)  # of what RANGE_TOLERANCE lets pass
         if settings:
             if settings.outlines == "guided":
                 likelihood = refine(outputs, small, image, settings.working, settings.threshold)

@@ -149,7 +149,7 @@ def fill_thin_holes(likelihood: Tensor, threshold: float) -> Tensor:
     """Raise thin non-road holes inside the road to just above the threshold.
 
     Lane markings, letters and joints are road although they look different. A hole is thin where
-    no square of ``MAX_HOLE_WIDTH`` fits; holes at the image border count as enclosed.
+    no square of ``MAX_HOLE_WIDTH`` fits, if one fits anywhere; the image border encloses holes.
     Source: opening by reconstruction, Vincent, "Morphological Grayscale Reconstruction", IEEE
     Trans. Image Proc. 2(2), 1993.
 

@@ -46,8 +46,7 @@ def corrections_by_image(
             raise InputError(image.path, message, WRONG_IMAGES)
         by_name[image_file_name(image)] = correction
     if corrections and not by_name and not errors:
-        count = len(corrections) - 1
-        message = f"and {count} other corrected images are not among --images"
+        message = f"is not among --images, as none of {len(corrections)} corrected images is"
         raise InputError(corrections[0].image, message, WRONG_IMAGES)
     return by_name, errors
 

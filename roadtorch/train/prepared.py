@@ -51,7 +51,7 @@ class Preparation:
     compute: Callable[[Tensor, str], Arrays]
 
     def __call__(self, image: Item) -> PreparedImage:
-        """Prepare an image unless its file is up to date; ConfigError if a setting is wrong."""
+        """Prepare an image unless its file is up to date; a wrong setting's error is raised."""
         name, key = image_file_name(image), self.key(image)
         file = self.folder / f"{name}.npz"
         if read_cached(file, key) is not None:  # reads all arrays: damage would end the training

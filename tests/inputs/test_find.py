@@ -249,7 +249,7 @@ def test_results_in_a_ledger_are_no_inputs(tmp_path: Path) -> None:
     names = ("camera.jpg", "labels/a.png", "frames/b.jpg", "photo.jpg", "labels/photo.png")
     (tmp_path / "labels").mkdir()
     with (
-        claim_results(tmp_path, {"camera.jpg": "", "frames/": ""}),
+        claim_results(tmp_path, {"cam{}.jpg": "", "frames/": ""}),
         claim_results(tmp_path / "labels", {"a.png": "../photo.jpg"}),
     ):
         (tmp_path / "frames").mkdir()

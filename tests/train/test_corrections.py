@@ -163,7 +163,7 @@ def test_other_corrections_are_refused(
     for kind, corrections, error, message in (
         ("images", [], ConfigError, "other corrections"),
         ("patches", [street], ConfigError, "--corrections: are for trainings of the kind images"),
-        ("images", [correction(quarters(), tmp_path / "x.png")], InputError, "are not among"),
+        ("images", [correction(quarters(), tmp_path / "x.png")], InputError, "is not among"),
         ("images", [correction(quarters(), street.image)], InputError, "changed its size"),
     ):
         with pytest.raises(error, match=message):

@@ -33,7 +33,7 @@ def format_tables(evaluation: Evaluation) -> str:
 def build_tables(evaluation: Evaluation, limit: int | None = None) -> list[Table]:
     """Return the tables: road, then groups, conditions, trust, layout and differences, if any.
 
-    limit: rows of tables by group or condition; then groups that are columns have no rows.
+    limit: rows of tables by group or condition; then groups that are columns have no table.
     """
     listed = shortlist(evaluation)
     ranked = [name for name in evaluation.ranking() if name in listed]
