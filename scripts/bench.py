@@ -1,7 +1,6 @@
 """Time detectors beside their peers (LRASPP, scikit-image's superpixels), commands, and the tests.
 
     python scripts/bench.py                                      # every detector, one thread
-    python scripts/bench.py fusion ufl --size 960 720
     python scripts/bench.py fusion ufl --against ../before       # another checkout's beside them
     python scripts/bench.py --write                              # and keep what documents show
     python scripts/bench.py --runtimes --against ../before       # the networks by each runtime

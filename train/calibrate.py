@@ -170,27 +170,25 @@ class JudgedImages(NamedTuple):
     camera: np.ndarray
 
 
-def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path | None) -> None:
+def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path) -> None:
     """Print the weights of the signs of trust, and their quality on held-out cameras.
 
     Images with an empty mask are left out.
     """
     rows, detector = [], load_detector(name, **settings)
-    sources = [detect_images(root, detector)]
-    sources += [detect_worlds(worlds, detector)] if worlds else []
-    for camera, detection, truth in chain(*sources):
+    images = chain(detect_images(root, detector), detect_worlds(worlds, detector))
+    for camera, detection, truth in images:
         f = float(torch.nan_to_num(f_measure(count_mask(detection.mask, truth.road, truth.valid))))
         if detection.mask.any():
-            rows.append(
-                (trust_features(detection.likelihood, detection.mask, detection.cues), f, camera)
-            )
+            signs = trust_features(detection.likelihood, detection.mask, detection.cues["ego"])
+            rows.append((signs, f, camera))
     judged = JudgedImages(*(np.array(column) for column in zip(*rows, strict=True)))
     rendered_rows = np.char.startswith(judged.camera, "world ")
     roadless = np.isin(judged.camera, [f"world {place}" for place in ROADLESS])
     expected = np.empty_like(judged.f)
     for camera in np.unique(judged.camera):
         members = judged.camera == camera
-        signs, f_model = judged.signs[members], fit_f_model(judged, ~members & ~rendered_rows)
+        signs, f_model = judged.signs[members], fit_f_model(judged, ~members & ~roadless)
         road_model = fit_road_model(judged, roadless, ~members)
         road = road_model.predict_proba(signs[:, ROAD_FEATURES])[:, 1]
         f = f_model.predict(signs[:, F_FEATURES]).clip(0, 1)
@@ -205,7 +203,7 @@ def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path |
     print(f"no road: {roadless.sum()} masks, trust below .3 of {(expected[roadless] < 0.3).sum()}")
     print(f"F above .8 and trust below .6: {((judged.f > 0.8) & (expected < 0.6))[real].sum()}")
     model, road_model = (
-        fit_f_model(judged, ~rendered_rows),
+        fit_f_model(judged, ~roadless),
         fit_road_model(judged, roadless, judged.f > -1),
     )
     print(
@@ -220,7 +218,7 @@ def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path |
         print(f"{sign} alone {alone:+.2f}")
 
 
-ROAD_FEATURES, F_FEATURES = [0, 3], [0, 1, 2]
+ROAD_FEATURES, F_FEATURES = [0, 2], [0, 1]
 """Signs that predict whether there is a road, and those that predict F of its mask."""
 
 ROADLESS_WEIGHT = 3.0
@@ -257,12 +255,12 @@ def main() -> None:
     parser.add_argument("data", type=Path, help="the folder that holds many/ and camvid/")
     parser.add_argument("--detector", default="fusion")
     parser.add_argument("--weights", default="", help="of the detector's network, to be tried")
-    parser.add_argument(
-        "--worlds", type=Path, help="rendered worlds that no network was trained on"
-    )
+    parser.add_argument("--worlds", type=Path, help="that no network was trained on")
     options = parser.parse_args()
     torch.set_num_threads(1)
     settings = {"weights": {"file": options.weights}} if options.weights else {}
+    if options.part == "trust" and options.worlds is None:
+        parser.error("trust needs --worlds, some of them without any road")
     if options.part == "trust":
         choose_trust(options.data, options.detector, settings, options.worlds)
     else:

@@ -1,7 +1,7 @@
 """Compare weights with those that ship, image by image: one table, differences with intervals.
 
     python -m train.compare DATA --worlds HELD… --cache DIR NAME=FIRST[+SECOND]…
-    python -m train.compare DATA --cache DIR --large --sets many camvid idd NAME=…
+    python -m train.compare DATA NAME=… --cache DIR --large --sets many camvid idd
     python -m train.compare DATA --cache DIR --keep    # docs/figures/street.json
 
 FIRST and SECOND are files of `fusion`'s networks, or names of shipped ones; SECOND counts with
@@ -130,7 +130,7 @@ def count_image(sample: Sample, detector: Detector) -> tuple[Tensor, Tensor]:
 def record(name: str, detector: Detector, options: argparse.Namespace) -> Records:
     """Count all images of a set, or read their counts from the cache."""
     samples = read_worlds(options.worlds) if name == "worlds" else read_labelled(name, options.data)
-    key = cache_key(detector, name, options.worlds if name == "worlds" else None, STEPS)
+    key = cache_key(detector, name, *(options.worlds if name == "worlds" else []), STEPS)
     file = options.cache / f"{name}-{key}.npz"
     cached = read_cached(file, key)
     cameras, conditions, counts, levels = [], [], [], []
@@ -320,15 +320,15 @@ def main() -> None:
     parser.add_argument("candidates", nargs="*", metavar="NAME=FIRST[+SECOND]")
     parser.add_argument("--worlds", type=Path, nargs="*", default=[])
     parser.add_argument("--cache", type=Path, required=True)
-    parser.add_argument("--sets", nargs="*", default=["many", "worlds"])
+    parser.add_argument("--sets", nargs="*", default=[])
     parser.add_argument("--large", action="store_true")
     parser.add_argument("--keep", action="store_true")
-    options = parser.parse_args()
+    options = parser.parse_intermixed_args()
     torch.set_num_threads(1)
     if options.keep:
         return keep_shipped(options)
     detectors = [load_candidate(text, options.large) for text in (SHIPPED, *options.candidates)]
-    for name in options.sets:
+    for name in options.sets or ["many", *["worlds"][: len(options.worlds)]]:
         records = {title: record(name, detector, options) for title, detector in detectors}
         print_table(name, records)
 

@@ -30,7 +30,7 @@ def corrections_report(out: Path, images: Path | None = None) -> str:
 def detector_f_score(correction: Correction, out: Path) -> float | None:
     """Return the F-score of the detector's mask on a confirmed image; None without its view."""
     view = read_view(view_path(out / VIEWS_FOLDER, correction.name))
-    if view is None:
+    if view is None or view.size != correction.labels.shape:
         return None
     truth, mask = labels_to_truth(correction.labels), resize_maps(view.odds, view.size) >= 0
     return float(f_measure(count_mask(mask, truth.road, truth.valid)))

@@ -43,7 +43,7 @@ from roadtorch.base.errors import RoadtorchError, UnwritableError
 from roadtorch.base.image import jpeg_bytes, read_image, to_pixels
 from roadtorch.base.settings import Settings
 from roadtorch.data.events import parse_event
-from roadtorch.imaging.resize import WorkingSize, resize_maps, spatial_size, working_size
+from roadtorch.imaging.resize import WorkingSize, resize_to_work
 
 HOST = "127.0.0.1"  # the only interface to listen on
 FIRST_PORT = 8765
@@ -242,9 +242,7 @@ def encode_image(
 
     modified: modification time, part of the cache key of ``encode_thumbnail``.
     """
-    image = read_image(path)
-    small = resize_maps(image, working_size(*spatial_size(image), size)).clamp(0, 1)
-    return jpeg_bytes(to_pixels(small), quality)
+    return jpeg_bytes(to_pixels(resize_to_work(read_image(path), size)), quality)
 
 
 encode_thumbnail = lru_cache(maxsize=2000)(partial(encode_image, size=THUMBNAIL_SIZE, quality=80))

@@ -103,7 +103,10 @@ def open_log(images: ImageFolder, out: Path, name: str, size: tuple[int, int]) -
         image = os.path.relpath(file, images.out)
         header = LogHeader(image=image, sha256=digest, height=size[0], width=size[1])
         log = EventLog(path, header)
-    if log.size == size and log.header.sha256 not in ("", digest):
+    if log.size != size:
+        message = f"was corrected at {log.header.width} by {log.header.height} pixels"
+        raise InputError(name, message, f"its size has changed; move {path.name} away")
+    if log.header.sha256 not in ("", digest):
         raise InputError(name, "is not the image that was corrected", f"move {path.name} away")
     log.labels  # noqa: B018  # raises where an event does not fit
     return log
@@ -206,9 +209,6 @@ class Session:
         opened, log = self._logs.pop(name, (None, None))
         if log is None or opened is not view:  # the image was replaced, or its view computed again
             log = open_log(self.images, self.out, name, view.size)
-        if log.size != view.size:
-            message = f"was corrected at {log.header.width} by {log.header.height} pixels"
-            raise InputError(name, message, f"its size has changed; move {log.path.name} away")
         self._logs[name] = view, log
         if len(self._logs) > MAX_LOGS:
             del self._logs[next(iter(self._logs))]
@@ -260,7 +260,7 @@ def compute_views(session: Session, stop: threading.Event) -> None:
                 continue
             try:
                 session.view(name)
-            except (InputError, OSError):
+            except Exception:  # whatever one image does, the others get their views
                 failed.add(name)
         stop.wait(2)
 
@@ -282,13 +282,15 @@ def open_session(folder: Path, out: Path, detector: Detector) -> Session:
 def import_labels(name: str, origin: Path, folder: Path, out: Path) -> int:
     """Import labels of a format from ``origin`` into the logs; return the number of images.
 
-    Raises DatasetError where something cannot be read; then nothing is imported.
+    Raises DatasetError where something cannot be read, InputError where an image was replaced; then
+    nothing is imported.
     """
     images = ImageFolder(folder, out)
     sizes = {image: read_image_size(images.path(image)) for image in images.names()}
     by_image = CORRECTION_FORMATS[name].read(origin, sizes)
+    logs = {image: open_log(images, out, image, sizes[image]) for image in by_image}
     for image, labels in by_image.items():
-        log = open_log(images, out, image, sizes[image])
+        log = logs[image]
         if not log.events or (log.labels != labels).any():  # else they are already imported
             log.add(make_import_event(labels, len(log.events)))
     return len(by_image)

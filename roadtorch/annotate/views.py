@@ -18,7 +18,6 @@ from roadtorch.data.events import (
     NO_ROAD_LABEL,
     NOT_ROAD,
     ROAD_LABEL,
-    VOID_LABEL,
     layout_layer,
     road_layer,
 )
@@ -27,8 +26,8 @@ from roadtorch.imaging.resize import (
     WorkingSize,
     resize_maps,
     resize_to_image,
+    resize_to_work,
     spatial_size,
-    working_size,
 )
 from roadtorch.imaging.segments import measure_segments, segment_mean, segment_size
 from roadtorch.imaging.slic import Superpixels
@@ -70,7 +69,7 @@ def compute_view(image: Tensor, detector: Detector) -> ImageView:
     size = spatial_size(image)
     with image_cache():
         detection = Inference(detector)(image)
-        small = resize_maps(image, working_size(*size, PAGE_SIZE)).clamp(0, 1)
+        small = resize_to_work(image, PAGE_SIZE)
         shape = spatial_size(small)
         labels = PAGE_SUPERPIXELS.cut(small)
         segments = measure_segments(small, labels)
@@ -126,9 +125,7 @@ def corrected_road(odds: Tensor, labels: np.ndarray, size: tuple[int, int]) -> n
     """Return the road at a size, bool (H, W): human labels, else log odds; void is no road."""
     layer = road_layer(resize_labels(labels, size))
     road = resize_maps(odds, size).numpy() >= 0
-    return np.where(
-        (layer == NO_ROAD_LABEL) | (layer == VOID_LABEL), road & (layer != VOID_LABEL), layer == 1
-    )
+    return np.where(layer == NO_ROAD_LABEL, road, layer == ROAD_LABEL)
 
 
 # --- views on disk ----------------------------------------------------------------------

@@ -107,8 +107,8 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
             branch = branch.setdefault(name, {})
             if not isinstance(branch, dict):
                 raise ConfigError(key, f"{name} is already set to a value", "give each key once")
-        if isinstance(branch.get(names[-1]), dict):
-            raise ConfigError(key, "is a group of settings", "set one key inside it")
+        if names[-1] in branch:
+            raise ConfigError(key, "is a group of settings, or is given twice", "set each key once")
         branch[names[-1]] = _toml_value(text.strip())
     return tree
 

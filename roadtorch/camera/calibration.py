@@ -250,18 +250,12 @@ def _calibration_problems(calibration: Calibration) -> Iterator[tuple[str, str]]
         error = np.abs(rotation @ rotation.T - np.eye(3)).max()
         if error > MAX_ROTATION_ERROR or np.linalg.det(rotation) < 0:
             return (yield name, "is no rotation")
-    height = -_camera_in_road(calibration)[1][1]
+    pose = np.array(calibration.camera_to_road).reshape(3, 4)
+    centre = -np.linalg.solve(projection[:, :3], projection[:, 3])
+    centre = np.linalg.solve(np.reshape(calibration.rectification, (3, 3)), centre)
+    height = -(pose[:, :3] @ centre + pose[:, 3])[1]  # y points down
     if not 0 < height <= 1000:
         yield "Tr_cam_to_road", f"has the camera {height:g} m above the road"
-
-
-def _camera_in_road(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rotation (3, 3) from the rectified camera to the road, and the camera (3,)."""
-    projection = np.array(calibration.projection).reshape(3, 4)
-    camera_to_road = np.array(calibration.camera_to_road).reshape(3, 4)
-    rotation = camera_to_road[:, :3] @ np.linalg.inv(np.reshape(calibration.rectification, (3, 3)))
-    shift = -np.linalg.solve(projection[:, :3], projection[:, 3])
-    return rotation, rotation @ shift + camera_to_road[:, 3]
 
 
 def road_homography(calibration: Calibration) -> Tensor:

@@ -198,9 +198,10 @@ class Camera(Settings):
             values["ego"] = self.ego.model_dump(exclude_defaults=True)
         if self.lens is not None and self.lens.coefficients:
             lens = self.lens.model_dump(exclude_defaults=True)
-            row = self.horizon
-            pitch = 0.0 if row is None else pitch_from_horizon(self.lens, row)
-            values["rectification"] = {"lens": lens, "pitch": pitch}
+            pitch = self.grid.pitch
+            if pitch is None and self.horizon is not None:
+                pitch = pitch_from_horizon(self.lens, self.horizon)
+            values["rectification"] = {"lens": lens, "pitch": pitch or 0.0}
         labeller = find_settings_group(settings_class, ["labeller"])
         has_horizon = labeller is not settings_class and "horizon" in labeller.model_fields
         if has_horizon and self.horizon is not None:

@@ -161,9 +161,9 @@ def estimate_camera(
     """Estimate the camera from frames that it recorded.
 
     Args:
-        frames: sRGB in [0, 1], shape (3, H, W) each, 10 to some hundred; iterated over once.
+        frames: sRGB in [0, 1], shape (3, H, W) each, 5 to some hundred; iterated over once.
         where: names the footage in errors.
-        lens: becomes part of the camera, of fewer than 10 frames all of it; the horizon is
+        lens: becomes part of the camera, of fewer than 5 frames all of it; the horizon is
             estimated where it has no distortion.
 
     Raises:

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.errors import InputError
+from roadtorch.imaging.color import LUMA
 from roadtorch.layout.classes import HORIZONTAL
 
 SMALL_WIDTH = 320  # pixels in a row of a small frame
@@ -70,7 +71,7 @@ class GradientStatistics(NamedTuple):
 
 def small_grey(image: Tensor, size: tuple[int, int]) -> Tensor:
     """Return an image (3, H, W) in [0, 1] as grey levels (h, w), 0 to 255: ITU-R BT.601 luma."""
-    luma = torch.einsum("chw,c->hw", image, image.new_tensor((0.299, 0.587, 0.114))) * 255
+    luma = torch.einsum("chw,c->hw", image, image.new_tensor(LUMA)) * 255
     pixels = np.ascontiguousarray(luma.float().cpu().numpy())
     return torch.from_numpy(cv2.resize(pixels, size[::-1], interpolation=cv2.INTER_AREA))
 

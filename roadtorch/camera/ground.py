@@ -116,11 +116,6 @@ class Pose:
     axes: tuple[_Vector, _Vector, _Vector]
     position: _Vector
 
-    @property
-    def pitch(self) -> float:
-        """Degrees by which the optical axis points below the horizon."""
-        return math.degrees(math.asin(max(-1.0, min(1.0, -self.axes[2][2]))))
-
 
 def camera_pose(
     height: float, pitch: float, roll: float = 0.0, mount: tuple[float, float] = (0.0, 0.0)

@@ -196,7 +196,7 @@ def sample_rays(camera: GroundCamera, settings: GridSettings) -> RaySamples:
     low, high = _azimuth_range(camera)
     count = math.ceil((high - low) / (settings.cell / settings.range / SAMPLES_ACROSS)) + 2
     azimuth = np.linspace(low, high, count)
-    max_distance = math.hypot(settings.range, min(settings.side, settings.range))
+    max_distance = math.hypot(settings.range, settings.side)
     step = settings.cell / SAMPLES_ALONG
     distance = (np.arange(math.ceil(max_distance / step) + 1) + 0.5) * step
     if len(distance) * count > MAX_SAMPLES:

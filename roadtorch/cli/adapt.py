@@ -10,6 +10,7 @@ from roadtorch.cli.options import (
     PATH,
     QUIET_OPTION,
     SETTING_OPTION,
+    THREADS_OPTION,
     CheckedCommand,
     command_line,
 )
@@ -28,9 +29,7 @@ ADAPT_CONFIG = "adapt"
     "60 suffice for a first verdict.",
 )
 @SETTING_OPTION
-@click.option(
-    "--threads", type=click.IntRange(min=1), help="Threads of torch; the result depends on it."
-)
+@THREADS_OPTION
 @QUIET_OPTION
 @click.pass_context
 def adapt_command(
@@ -82,7 +81,7 @@ def adapt_command(
         text = f"roadtorch: stopped by {signal}; run the same command again to resume"
         click.echo(text, err=True)
         context.exit(128 + outcome.interrupted)
-    request = TrainingRequest(frames.glob(), out, prepared=adaptation.prepared, quiet=quiet)
+    request = TrainingRequest(frames.glob(), out, quiet=quiet)
     camera = ["--camera", str(adaptation.camera)] if adaptation.camera else []
     words = ["--set", f"weights.file={outcome.weights}", *camera, "--out", str(out / "roads")]
     is_adopted = adaptation.verdict is not None and adaptation.verdict.word == "adopt"

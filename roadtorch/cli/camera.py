@@ -27,9 +27,9 @@ def camera_command(
     FOOTAGE: images, folders, quoted globs or video files; at least 10 frames of different
     scenes. Writes --out for infer --camera, and an image to check it: the mean of the frames and
     one of them, with the ego car tinted, the horizon blue, the seed row orange. --camera-info
-    adds the lens, of fewer frames the lens alone; if it has distortion, detectors see rectified
-    views. What you add below [grid],
-    such as height = 1.4, stays when the file is written again.
+    adds the lens, of fewer than 5 frames the lens alone; if it has distortion, detectors see
+    rectified views. What you add below [grid], such as height = 1.4, stays when the file is written
+    again.
     """
     from roadtorch.base.atomic import claim_results, relative_name
     from roadtorch.base.errors import ConfigError

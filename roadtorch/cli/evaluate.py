@@ -121,7 +121,7 @@ def evaluate_command(
     from roadtorch.evaluation.tuning import choice_table, tune_thresholds, tuned_file
     from roadtorch.run.workers import configure_threads
 
-    configure_threads(threads=1)
+    configure_threads()
     settings = parse_assignments(assignments)
     camera = None if camera_file is None else Camera.read(camera_file)
     if submit:

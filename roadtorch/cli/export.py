@@ -5,7 +5,14 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH, SETTING_OPTION, CheckedCommand, suggest_detectors
+from roadtorch.cli.options import (
+    PATH,
+    SETTING_OPTION,
+    CheckedCommand,
+    DetectorOptions,
+    refuse_unused,
+    suggest_detectors,
+)
 
 
 @click.command(cls=CheckedCommand)
@@ -30,13 +37,12 @@ def export_command(
     is checked against Python before it is written.
     """
     from roadtorch.base.atomic import claim_results, lock_folder
-    from roadtorch.base.settings import parse_assignments
-    from roadtorch.detectors.catalogue import load_detector
     from roadtorch.export.export import export_detector
     from roadtorch.export.folders import WEB_FILES, export_page
     from roadtorch.layout.runtimes import MAX_DIFFERENCE
 
-    detector = load_detector(name, **parse_assignments(assignments))
+    refuse_unused(click.get_current_context(), onnx=target == "onnx")
+    detector, _ = DetectorOptions(name, assignments).load()
     folder, files = (out, WEB_FILES) if target == "web" else (out.parent, (out.name,))
     with lock_folder(folder), claim_results(folder, dict.fromkeys(files, name)):
         exported = (

@@ -122,7 +122,7 @@ def infer_command(
     """
     from roadtorch.base.settings import to_toml
     from roadtorch.camera.mounting import build_placement
-    from roadtorch.inputs.find import select_inputs
+    from roadtorch.inputs.find import Inputs, find_inputs
     from roadtorch.layout.runtimes import check_runtime
     from roadtorch.run.ledger import COCO_FILE, RUN_FILE
     from roadtorch.run.loop import Inference, Task
@@ -136,12 +136,13 @@ def infer_command(
     from roadtorch.run.writers.maps import MapWriter
     from roadtorch.run.writers.outputs import DEFAULT_IMAGE_KINDS, MapOutput, is_from_bag
 
-    configure_threads(options.threads, options.device)
+    configure_threads(options.device)
     check_runtime(choice.runtime, options.device)
     choice, grid_values = choice.split("grid")
     detector, camera = choice.load(camera_file, threshold, options.device)
     effective = to_toml(detector.name, detector.settings)
-    selected = select_inputs(inputs, selection, out)
+    images, sources = find_inputs(inputs, selection, out)
+    selected = Inputs(selection.select_images(images), sources)
     kinds = DEFAULT_IMAGE_KINDS if save is None else save
     has_grid = not set(kinds).isdisjoint(GRID_KINDS)
     refuse_unused(
@@ -153,7 +154,8 @@ def infer_command(
     )
     bits = 16 if depth == "16" else 8
     inference, level = Inference(detector, camera), detector.settings.threshold
-    maps, key = MapWriter(out, frozenset(kinds), detector.name, level, bits), (detector, depth)
+    maps = MapWriter(out, frozenset(kinds), detector.name, level, bits)
+    key = detector, depth, options.device
     if has_grid:
         only_bags = not selected.images and all(map(is_from_bag, selected.sources))
         placement = build_placement(camera, grid_values, only_bags)
@@ -172,5 +174,5 @@ def infer_command(
             code = run.process(todo, task, cache_key(task.key, footage_options), smoothing)
         finally:
             if "polygons" in kinds:
-                write_coco(out)
+                write_coco(out, run.ledger.rows.values())
     context.exit(code)

@@ -39,7 +39,7 @@ def label_command(
     from roadtorch.run.workers import configure_threads
     from roadtorch.run.writers.labels import Labelling, LabelWriter
 
-    configure_threads(threads=1)
+    configure_threads()
     settings = build_settings(LabellerSettings, parse_assignments(assignments))
     labels = LabelWriter(out)
     todo = plan_run(Inputs(find_images(inputs, out), []), out, labels.suffixes)

@@ -60,7 +60,7 @@ class DetectorOptions:
         values = merge(values, parse_assignments(self.assignments))
         if threshold is not None:
             values["threshold"] = threshold
-        return self.detector or name, values
+        return name if self.detector is None else self.detector, values
 
     def split(self, group: str) -> "tuple[DetectorOptions, Any]":
         """Return the options without the assignments to a group, and what they assign to it."""
@@ -78,9 +78,10 @@ class DetectorOptions:
     ) -> "tuple[Detector, Camera | None]":
         """Return the detector, with settings for the camera of a file, and that camera."""
         from roadtorch.camera.camera import Camera
-        from roadtorch.detectors.catalogue import load_detector
+        from roadtorch.detectors.catalogue import detector_entry, load_detector
 
         name, values = self.name_and_values(threshold)
+        detector_entry(name).make_settings(values)  # raises for a key that load_detector takes
         camera = None if camera_file is None else Camera.read(camera_file)
         options = {"camera": camera, "device": device, "runtime": self.runtime}
         return load_detector(name, **options, **values), camera
@@ -122,7 +123,7 @@ OPTION_SECTIONS = {
     **dict.fromkeys(("detector", "assignments", "config", "camera_file", "threshold"), "Detector"),
     **dict.fromkeys(("every", "start", "end", "limit", "topic"), "Footage"),
     **dict.fromkeys(("smoothing", "view"), "Footage"),
-    **dict.fromkeys(("jobs", "threads", "device", "runtime"), "Computing"),
+    **dict.fromkeys(("jobs", "device", "runtime"), "Computing"),
     **dict.fromkeys(("reports", "exported", "to", "imported", "origin"), "Without the page"),
 }
 """Sections of ``--help``, by option."""
@@ -198,7 +199,7 @@ OPTION_CONDITIONS: Mapping[str, Mapping[str, str]] = {
     "evaluate": dict.fromkeys((*SCORING.split(), "--road", "--void"), "without --submit")
     | dict.fromkeys(("--montage", "--tune"), "with --out without --submit")
     | {"--submit": "with --out"},
-    "export": {"--mask": "without --format"},
+    "export": {"--mask": "with onnx"},
     "infer": dict.fromkeys(FOOTAGE, "with footage")
     | {"--topic": "with bag", "--depth": "with likelihood", "--set grid": "with grid"},
     "train": dict.fromkeys(("--road", "--void"), "with --masks")
@@ -294,6 +295,10 @@ detector_options = _group_options(
 )
 """Options of ``DetectorOptions``, passed as ``choice``."""
 
+THREADS_OPTION = click.option(
+    "--threads", type=click.IntRange(min=1), help="Threads of torch; the result depends on it."
+)
+
 run_options = _group_options(
     RUN_OPTIONS_CLASS, "options", JOBS_OPTION, OVERWRITE_OPTION, QUIET_OPTION
 )
@@ -303,12 +308,6 @@ computing_options = _group_options(
     RUN_OPTIONS_CLASS,
     "options",
     JOBS_OPTION,
-    click.option(
-        "--threads",
-        type=click.IntRange(min=1),
-        default=1,
-        help="Threads within an image; they change likelihoods in the seventh digit.",
-    ),
     click.option("--device", default="cpu", help="torch device: cpu, cuda, cuda:1."),
     OVERWRITE_OPTION,
     QUIET_OPTION,

@@ -33,7 +33,7 @@ def ros_command(words: tuple[str, ...]) -> None:
         raise ConfigError("--ros-args", reason(error).partition(". Error:")[0], hint) from None
     if unknown:
         raise ConfigError("ros", f"does not know {' '.join(unknown)}", hint)
-    configure_threads(threads=1)
+    configure_threads()
     with stop_on_signals() as stop:
         spin(words, stop)
         stop.raise_if_requested()

@@ -2,7 +2,6 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +12,7 @@ from roadtorch.cli.options import (
     QUIET_OPTION,
     ROAD_OPTION,
     SETTING_OPTION,
+    THREADS_OPTION,
     VOID_OPTION,
     CheckedCommand,
     ConfigFile,
@@ -49,14 +49,7 @@ if TYPE_CHECKING:
 @click.option("--corrections", type=PATH, help="Folder of corrections by roadtorch annotate.")
 @click.option("--corrected-images", type=PATH, help="Folder of the corrected images, if it moved.")
 @SETTING_OPTION
-@click.option(
-    "--prepared",
-    type=PATH,
-    help="Folder of images with machine labels, shared by several runs. [OUT/prepared]",
-)
-@click.option(
-    "--threads", type=click.IntRange(min=1), help="Threads of torch; the result depends on it."
-)
+@THREADS_OPTION
 @click.option("--device", default="cpu", help="torch device: cpu, cuda, cuda:1.")
 @QUIET_OPTION
 @click.pass_context
@@ -72,7 +65,6 @@ def train_command(
     corrections: Path | None,
     corrected_images: Path | None,
     assignments: tuple[str, ...],
-    prepared: Path | None,
     threads: int | None,
     device: str,
     quiet: bool,
@@ -124,8 +116,9 @@ def train_command(
         if not quiet:
             click.echo(f"roadtorch: {summary}", err=True)
     command = command_line(context)
-    request = TrainingRequest(images, out, prepared, quiet, corrected, source=source)
-    request = replace(request, device=device, command=command)
+    request = TrainingRequest(
+        images, out, None, quiet, corrected, source=source, device=device, command=command
+    )
     outcome = train(training, request)
     if outcome.interrupted:
         signal = outcome.interrupted.name

@@ -102,7 +102,7 @@ def build_detector(
     """Build the detector of an entry, behind a lens where its settings have one."""
     detector = Detector(entry, settings, order, device, runtime)
     if settings.rectification is not None:
-        detector = Rectified(detector, settings.rectification)
+        detector = Rectified(detector)
     return detector.eval()
 
 

@@ -179,7 +179,7 @@ class PaperFusionSettings(WorkingSettings):
 class BayesFusionSettings(PaperFusionSettings):
     """Settings of P2's equation 4 with the network of ``fusion`` in CNN-7's place."""
 
-    threshold: Threshold = Field(default=0.177, description=TUNED_THRESHOLD)
+    threshold: Threshold = Field(default=0.1841, description=TUNED_THRESHOLD)
     prior: LocationPrior = "rows"
 
 
@@ -252,7 +252,7 @@ class Fusion(nn.Module):
 
     def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
         """Predict the trust in a mask, bool (H, W); ``likelihood`` is one of the cues."""
-        features = trust_features(cues["likelihood"], mask, cues)
+        features = trust_features(cues["likelihood"], mask, cues["ego"])
         return estimate_trust(features, mask.flatten(-2).any(-1), self.settings.trust)
 
 

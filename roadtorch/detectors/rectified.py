@@ -5,13 +5,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
-from roadtorch.camera.views import (
-    Rectification,
-    merge_views,
-    rectified_views,
-    sample_view,
-    view_itself,
-)
+from roadtorch.camera.views import merge_views, rectified_views, sample_view, view_itself
 from roadtorch.detectors.detector import Detector
 from roadtorch.detectors.entry import WorkingSettings
 from roadtorch.imaging.levels import is_above, is_at_least
@@ -24,14 +18,12 @@ MIN_TRUST = 0.01
 class Rectified(Detector):
     """A detector of the images of a lens: analyses rectified views, merges their maps by trust.
 
-    detector: any; its parts are shared. rectification: lens and pitch of the camera.
+    detector: any with the setting ``rectification``; its parts are shared.
     """
 
-    def __init__(self, detector: Detector, rectification: Rectification) -> None:
+    def __init__(self, detector: Detector) -> None:
         nn.Module.__init__(self)
         self.__dict__.update(vars(detector))
-        self.settings = detector.settings.model_copy(update={"rectification": rectification})
-        self.rectification = rectification
 
     def find_maps(self, image: Tensor) -> tuple[Mapping[str, Tensor], Tensor]:
         """Return the maps of an image's views and of itself, merged.
@@ -39,8 +31,10 @@ class Rectified(Detector):
         Each counts by its trust: a view of a bumper alone finds no road, and is not trusted.
         """
         size, settings = spatial_size(image), self.settings
-        lens = self.rectification.lens.at(size[1], size[0])
-        rectified = rectified_views(lens, self.rectification.pitch)
+        rectification = settings.rectification
+        assert rectification is not None
+        lens = rectification.lens.at(size[1], size[0])
+        rectified = rectified_views(lens, rectification.pitch)  # type: ignore[arg-type]  # frozen
         outputs, likelihoods, weights = list[Mapping[str, Tensor]](), list[Tensor](), list[float]()
         for view in [*(sample_view(image, lens, view) for view in rectified), image]:
             maps, likelihood = super().find_maps(view)

@@ -21,8 +21,8 @@ class Disagreement:
     difference: float  # fraction of the pixels on which they differ
     first_road: float  # fraction of the pixels
     second_road: float
-    first_trust: float = math.nan  # NaN where the detector gives none
-    second_trust: float = math.nan
+    first_trust: float  # NaN where the detector gives none
+    second_trust: float
 
     @property
     def has_trust(self) -> bool:

@@ -70,6 +70,8 @@ def evaluate(
     if against is not None and against not in {entry.name for entry in entries}:
         entries.append(parse_reference(against, settings, camera))
         against = entries[-1].name
+        if against in {entry.name for entry in entries[:-1]}:
+            raise ConfigError(against, "names two detectors", "write NAME=PATH")
     if threshold_from is not None:
         entries = apply_thresholds(entries, threshold_from)
     entries = [compute_with(entry, runtime) for entry in entries]

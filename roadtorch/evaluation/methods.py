@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from roadtorch.base.bounded import to_printable
 from roadtorch.base.documents import read_document
-from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.base.settings import (
     CONFIG_SUFFIX,
     THRESHOLDS_PREFIX,
@@ -287,16 +287,17 @@ def road_frequencies(dataset: Dataset) -> dict[str, Tensor]:
     """Compute how often each pixel is road, by group: float64 (H, W) in [0, 1] ("" without groups).
 
     It is the fraction among the group's images with truth at that pixel. All are resized to the
-    size of the set's first label.
+    size of the set's first label; one that cannot be read fails where it is scored.
     """
     road: dict[str, Tensor] = {}
     valid: dict[str, Tensor] = {}
     size: torch.Size | None = None
     for item in dataset.items:
-        truth = dataset.truth(item)
-        group, size = item.group or "", size or truth.road.shape
-        for sums, mask in ((road, truth.road), (valid, truth.valid)):
-            sums[group] = sums.get(group, 0) + resize_map(mask.to(torch.float64), size)
+        with suppress(DatasetError):
+            truth = dataset.truth(item)
+            group, size = item.group or "", size or truth.road.shape
+            for sums, mask in ((road, truth.road), (valid, truth.valid)):
+                sums[group] = sums.get(group, 0) + resize_map(mask.to(torch.float64), size)
     return {group: road[group] / valid[group].clamp(min=1e-9) for group in road}
 
 

@@ -41,7 +41,7 @@ def tune_threshold(evaluation: Evaluation, name: str) -> ThresholdChoice:
     contender = scores.contender
     if math.isnan(scores.best_threshold):
         raise DatasetError(evaluation.dataset.root, "shows no road", "give images with road")
-    best = {"threshold": round(scores.best_threshold, 3)}
+    best = {"threshold": round(scores.best_threshold, 5)}
     tuned = detector_entry(contender.detector).make_settings({**contender.settings, **best})
     default, chosen = (
         summarise(
@@ -49,7 +49,7 @@ def tune_threshold(evaluation: Evaluation, name: str) -> ThresholdChoice:
         ).headline
         for threshold in (contender.threshold, tuned.threshold)
     )
-    held_out = scores.headline if len(scores.groups) > 1 else {}
+    held_out = {} if contender.earlier_threshold or len(scores.groups) < 2 else scores.headline
     return ThresholdChoice(contender, tuned, scores.headline["images"], default, chosen, held_out)
 
 

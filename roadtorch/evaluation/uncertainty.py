@@ -26,11 +26,9 @@ REPLICATES = 1000
 BOOTSTRAP_SEED = 11
 
 
-def bootstrap_weights(
-    images: int, generator: torch.Generator, replicates: int = REPLICATES
-) -> Tensor:
-    """Draw how often each image counts, int64 (replicates, images): each row sums to ``images``."""
-    indices = torch.randint(images, (replicates, images), generator=generator)
+def bootstrap_weights(images: int, generator: torch.Generator) -> Tensor:
+    """Draw how often each image counts, int64 (``REPLICATES``, images): rows sum to ``images``."""
+    indices = torch.randint(images, (REPLICATES, images), generator=generator)
     return torch.zeros_like(indices).scatter_add_(1, indices, torch.ones_like(indices))
 
 
@@ -42,7 +40,7 @@ def sample_weights(groups: Sequence[str], generator: torch.Generator) -> Tensor:
     weights = torch.ones(1 + REPLICATES, len(groups), dtype=torch.float64)
     for group in sorted(set(groups)):
         members = torch.tensor([name == group for name in groups])
-        draws = bootstrap_weights(int(members.sum()), generator, REPLICATES)
+        draws = bootstrap_weights(int(members.sum()), generator)
         weights[1:, members] = draws.to(torch.float64)
     return weights
 
@@ -106,13 +104,12 @@ def bootstrap(
     groups = [tally.table([group]) for group in scores.counted_groups]
     thresholds = [scores.thresholds[group] for group in scores.counted_groups]
     generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
-    weights = [bootstrap_weights(len(group.names), generator, REPLICATES) for group in groups]
-    ones = [torch.ones_like(counts[:1]) for counts in weights]
+    counts = [bootstrap_weights(len(group.names), generator) for group in groups]
+    weights = [torch.cat([torch.ones_like(rows[:1]), rows]) for rows in counts]  # all images first
     measures = [m for m in measures if m.interval and m.key in scores.headline]
-    replicates = _mean_over_groups(groups, thresholds, weights, measures)
-    coarse = _mean_over_groups(groups, thresholds, ones, measures)
-    shifts = {m.key: m.get(scores.headline) - float(coarse[m.key]) for m in measures}
-    return {key: replicates[key] + shift for key, shift in shifts.items()}
+    coarse = _mean_over_groups(groups, thresholds, weights, measures)
+    shifts = {m.key: m.get(scores.headline) - float(coarse[m.key][0]) for m in measures}
+    return {key: coarse[key][1:] + shift for key, shift in shifts.items()}
 
 
 def _mean_over_groups(

@@ -64,11 +64,10 @@ def listed_recordings(folder: str) -> set[str]:
 
 def bag_source(
     origin: str,
-    topic: str | None = None,
     selection: Selection = Selection(),  # noqa: B008  # it is frozen
     name: str = "",
 ) -> Source:
-    """Make a source of the images of a topic, by default of the only one.
+    """Make a source of the images of the selection's topic, by default of the only one.
 
     Images come in the order of recording. Time stamps are those of the headers, or of the recording
     where a header has none; where they step, ``seconds`` go on by the time of recording. A message
@@ -78,7 +77,7 @@ def bag_source(
         InputError: if it is no bag or has no images.
         ConfigError: if the topic does not exist or has to be chosen.
     """
-    images = image_topic(origin, topic)
+    images = image_topic(origin, selection.topic)
     count = None
     if not selection.start and selection.end is None:
         count = len(range(images.count)[:: selection.every][: selection.limit])

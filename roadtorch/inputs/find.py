@@ -90,7 +90,7 @@ def find_inputs(
 def _is_footage(path: str) -> bool:
     """Return whether a path is an image, a video or a bag by its name."""
     name = os.path.basename(path).lower()
-    if name[:1] in ("", ".") or is_result_name(name):
+    if not name or (name[0] == "." and name.strip(".")) or is_result_name(name):
         return False
     return name.endswith((*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)) or is_bag(path)
 
@@ -99,17 +99,11 @@ def _open_bag_in_folder(file: ListedFile, selection: Selection, alone: bool) -> 
     """Open a bag; unless it is alone, one that cannot be opened raises when it is read."""
     name = (file.name if file.path.is_dir() else file.stem).strip(".") or file.path.resolve().name
     try:
-        return bag_source(str(file.path), selection.topic, selection, name)
+        return bag_source(str(file.path), selection, name)
     except RoadtorchError as error:
         if alone:
             raise
         return Source(name, str(file.path), partial(raise_error, error), path=file.path)
-
-
-def select_inputs(inputs: Iterable[str], selection: Selection, out: Path) -> Inputs:
-    """Resolve inputs outside ``out`` and apply a selection; raises as its two steps do."""
-    images, sources = find_inputs(inputs, selection, out)
-    return Inputs(selection.select_images(images), sources)
 
 
 def expand_lists(inputs: Iterable[str]) -> Iterator[str]:

@@ -90,7 +90,7 @@ def list_files(
         files = list(filter(is_wanted, files))
         folders = [match for match in matches if matches[match] and not files]
     elif os.path.isdir(path):
-        root, files, folders = Path(path), [], [path]
+        root, files, folders = Path(path), [], [str(Path(path))]
     else:
         return [ListedFile(Path(path), Path(path).name)]
     for folder in folders:

@@ -3,6 +3,7 @@
 An image is a frame without a clock.
 """
 
+import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -97,6 +98,12 @@ class Selection:
     end: float | None = None
     limit: int | None = None
     topic: str | None = None
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for values that select nothing or have no meaning."""
+        for name, least in {"every": 1, "limit": 1, "start": 0, "end": 0}.items():
+            if (value := getattr(self, name)) is not None and not least <= value < math.inf:
+                raise ConfigError(name, f"{value} was given", f"give a number from {least} on")
 
     def select(self, items: Iterable[Item]) -> Generator[Item]:
         """Yield the selected items, reading none beyond the last; close a generator of items."""

@@ -96,10 +96,6 @@ class ImageNetwork(nn.Module):
         self.to_half = ConvBlock(narrow, narrow)
         self.heads = nn.Conv2d(narrow, NUM_OUTPUTS, 1)
 
-    def last_layers(self) -> list[nn.Conv2d]:
-        """Return the convolution that computes the scores, as a list of one."""
-        return [self.heads]
-
     def forward(self, pixels: Tensor) -> Tensor:
         """Return scores (B, 5, H/2, W/2) of normalised images (B, 3, H, W): classes, road, ego.
 

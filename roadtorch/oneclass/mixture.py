@@ -81,7 +81,7 @@ def log_densities(features: Tensor, mixtures: Mixtures) -> Tensor:
     return torch.cat([constant[..., None], slope, inverse.flatten(-2) / -2], -1) @ features.T
 
 
-def _m_step(features: Tensor, memberships: Tensor, widening: Tensor) -> Mixtures:
+def m_step(features: Tensor, memberships: Tensor, widening: Tensor) -> Mixtures:
     """Return the mixtures whose components have the weights (R, N, m) of the samples."""
     dimensions = len(widening)
     sums = memberships @ features
@@ -98,8 +98,7 @@ def expectation_maximisation(
 ) -> tuple[Tensor, Tensor]:
     """Run expectation maximisation of R mixtures: memberships (R, N, m), log-likelihoods (R,).
 
-    Ends when no run's mean log-likelihood changes by more than ``LIKELIHOOD_TOLERANCE``. ``m_step``
-    makes the mixtures of the result.
+    Ends when no run's mean log-likelihood changes by more than ``LIKELIHOOD_TOLERANCE``.
 
     Args:
         samples: float64, roughly centred, shape (m, d).
@@ -111,7 +110,7 @@ def expectation_maximisation(
     likelihood = samples.new_full((len(start),), -math.inf)
     limit = LIKELIHOOD_TOLERANCE * len(samples)
     for _ in range(rounds):
-        parts = log_densities(features, _m_step(features, memberships, widening))
+        parts = log_densities(features, m_step(features, memberships, widening))
         top = parts.amax(1, keepdim=True)
         memberships = (parts - top).exp_()
         total = memberships.sum(1, keepdim=True)
@@ -122,11 +121,6 @@ def expectation_maximisation(
     return memberships, likelihood
 
 
-def m_step(samples: Tensor, memberships: Tensor, widening: Tensor) -> Mixtures:
-    """Return the mixtures whose components have the memberships (R, N, m) of samples (m, d)."""
-    return _m_step(_polynomial_features(samples), memberships, widening)
-
-
 def k_means_plus_plus(samples: Tensor, numbers: Tensor, generator: torch.Generator) -> Tensor:
     """Run k-means++ for R runs: return one-hot memberships (R, N, m) of the nearest start.
 
@@ -135,13 +129,13 @@ def k_means_plus_plus(samples: Tensor, numbers: Tensor, generator: torch.Generat
     largest.
     """
     max_count = int(numbers.max())
-    runs, equal = torch.arange(len(numbers)), samples.new_ones(len(numbers), len(samples))
+    equal = samples.new_ones(len(numbers), len(samples))
     probabilities, nearest = equal, torch.full_like(equal, math.inf)
     owner = torch.zeros(equal.shape, dtype=torch.int64)
     for number in range(max_count):
         chosen = torch.multinomial(probabilities, 1, generator=generator)[:, 0]
         squared = (samples - samples[chosen][:, None]).square().sum(-1)
-        closer = (squared < nearest) & (number < numbers)[runs, None]
+        closer = (squared < nearest) & (number < numbers)[:, None]
         owner.masked_fill_(closer, number)
         nearest = torch.where(closer, squared, nearest)
         # Fewer distinct samples than starts: sample any; it stays without members.
@@ -169,7 +163,7 @@ def _best_runs(
     memberships, likelihoods = expectation_maximisation(samples, start, widening, TRIAL_EM_ROUNDS)
     best = torch.stack([likelihoods.masked_fill(runs != n, -math.inf).argmax() for n in numbers])
     memberships, likelihoods = expectation_maximisation(samples, memberships[best], widening)
-    return m_step(samples, memberships, widening), likelihoods
+    return m_step(_polynomial_features(samples), memberships, widening), likelihoods
 
 
 def fit_mixture(road: RoadSamples, settings: MixtureSettings) -> DistanceModel:

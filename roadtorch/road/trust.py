@@ -1,12 +1,11 @@
 """Trust: the predicted F-score of a mask, without its truth. Ours.
 
-A ridge regression of F on ``TrustFeatures``, over labelled images of many cameras, times the
-probability that there is a road at all, a logistic regression on rendered worlds with and without
-a road. ``python -m train.calibrate trust`` fits and cross-validates both.
+A ridge regression of F on ``TrustFeatures``, over labelled images of many cameras and rendered
+worlds with a road, times the probability that there is a road at all, a logistic regression on
+these and worlds without one. ``python -m train.calibrate trust`` fits and cross-validates both.
 """
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -26,22 +25,20 @@ class TrustFeatures(NamedTuple):
     """IoU of the masks at a low and at a high threshold (``LOW_AND_HIGH``)."""
     expected: float
     """F-score of the mask if the likelihood is a calibrated probability."""
-    seed: float
-    """Mean of the network's road likelihood in the seed area."""
     entropy: float
     """Mean entropy of the likelihood, in bits."""
 
 
 LOW_AND_HIGH = (0.2, 0.8)
 
-FEATURE_WEIGHTS = TrustFeatures(0.12, 0.62, 0.11, 0.0)  # of the regression; ``INTERCEPT`` is added
+FEATURE_WEIGHTS = TrustFeatures(0.05, 0.96, 0.0)  # of the regression; ``INTERCEPT`` is added
 
-INTERCEPT = 0.163
+INTERCEPT = 0.007
 
-MEAN_FEATURES = TrustFeatures(0.71, 0.9, 0.98, 0.2)
-"""Means of the features over the images on which the weights were fitted."""
+MEAN_FEATURES = TrustFeatures(0.73, 0.91, 0.19)
+"""Means of the features over the real images on which the weights were fitted."""
 
-ROAD_STABILITY, ROAD_ENTROPY, ROAD_INTERCEPT = 4.71, -6.17, 1.06
+ROAD_STABILITY, ROAD_ENTROPY, ROAD_INTERCEPT = 1.99, -7.49, 2.59
 """Logistic regression of whether there is a road: weights of ``stability`` and ``entropy``."""
 
 FULL_TRUST_PROBABILITY = 0.7
@@ -52,7 +49,6 @@ NO_ROAD = "hardly anything in the image looks like road"
 DOUBT_REASONS = (
     "another threshold gives another mask",
     "much of the mask is not likely road",
-    "the seed area looks like a vehicle, a wall or grass",
     "much of the image is neither road nor not",
 )
 """Messages for a feature below its mean, in the order of the features."""
@@ -73,22 +69,17 @@ class Judgement(NamedTuple):
     doubt: str
 
 
-def trust_features(likelihood: Tensor, mask: Tensor, cues: Mapping[str, Tensor]) -> TrustFeatures:
-    """Compute the features of a likelihood and its mask (H, W).
-
-    cues: ``learned_road``, ``seed_area`` and ``ego``, (H, W).
-    """
-    free = float_mask(~cues["ego"])
+def trust_features(likelihood: Tensor, mask: Tensor, ego: Tensor) -> TrustFeatures:
+    """Compute the features of a likelihood, its mask and the ego car, (H, W), which is left out."""
+    free = float_mask(~ego)
     inside = free * float_mask(mask)
     low, high = (
         masked_sum(float_mask(is_above(likelihood, level)), free) for level in LOW_AND_HIGH
     )
     road, right = (masked_sum(likelihood, area) for area in (free, inside))
-    seed = float_mask(cues["seed_area"])
     return TrustFeatures(
         ratio(high, low),
         ratio(2 * right, masked_sum(inside, inside) + road),
-        ratio(masked_sum(cues["learned_road"], seed), masked_sum(seed, seed)),
         ratio(masked_sum(entropy(likelihood), free), masked_sum(free, free)),
     )
 

@@ -25,7 +25,6 @@ class RunOptions:
     jobs: int | None = None  # processes; None for an automatic number
     overwrite: bool = False  # redo finished results
     quiet: bool = False  # no progress on stderr
-    threads: int = 1  # per image
     device: str = "cpu"  # of torch
 
 

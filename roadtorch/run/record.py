@@ -33,8 +33,8 @@ def record_run(
     except KeyboardInterrupt as stop:
         status = ExitCode.TERMINATED if isinstance(stop, SigtermInterrupt) else ExitCode.INTERRUPTED
         raise
-    except RoadtorchError:
-        status = ExitCode.WRONG_USAGE
+    except RoadtorchError as error:
+        status = error.exit_code
         raise
     finally:
         tried = [ledger.rows[file] for file in files if file in ledger.rows]

@@ -63,16 +63,17 @@ class Run:
     def process_sources(self, plan: Plan, task: Task, smoothing: bool) -> int:
         """Process the sources that are not done yet, and return the exit code.
 
-        A source is done as an image is; live ones never are. A failing source becomes a failed
-        row, or a partial one where some frames were done. When interrupted, finished frames are
-        kept, and videos are closed after the last of them.
+        A source is done as an image is, if the folder of its frames exists; live ones never are. A
+        failing source becomes a failed row, or a partial one where some frames were done. When
+        interrupted, finished frames are kept, and videos are closed after the last of them.
         """
         if not plan.sources:
             return 0
         rows: list[IndexRow] = []
         for source, output in plan.sources:
             source_task = replace(task, kinds=output.kinds)
-            if not self._is_done(source, source_task, output.suffixes):
+            has_frames = not output.frame_suffixes or (self.ledger.folder / source.name).is_dir()
+            if not (has_frames and self._is_done(source, source_task, output.suffixes)):
                 rows.append(self._process_source(source, output, source_task, smoothing))
         return self._summarize(rows, len(plan.sources) - len(rows))
 
@@ -95,12 +96,14 @@ class Run:
         self.ledger.check_folder()
         make_folder(folder.parent, OUT_HINT)
         self.ledger.drop_frames(source.name)
+        earlier = self.ledger.rows.get(source.row_name)
+        if earlier and earlier.method != task.key:  # a killed run leaves no row of other options
+            self.ledger.add(_source_row(source, [], KeyboardInterrupt()))
         rows: list[IndexRow] = []
         error: BaseException | None = None
         state = _file_state(source)
         try:
             with stop_on_signals() as stop, output.open() as writers:
-                # Shared by no other source: it remembers the frames.
                 temporal_filter = TemporalFilter(TemporalFilterSettings()) if smoothing else None
                 spread = partial(self.workers.map, on_crash=crashed_evidence, live=source.live)
                 steps = (temporal_filter, output.cues, stop, spread)
@@ -113,9 +116,9 @@ class Run:
                         rows.append(self._record(row, bar))
 
                     run_behind(record, bar)
+            stop.raise_if_requested()
             if _file_state(source) != state:
                 raise InputError(source.origin, "changed while it was read", "run it again")
-            stop.raise_if_requested()
         except (RoadtorchError, KeyboardInterrupt) as raised:
             error = raised
         except Exception as raised:  # of a library: one source must not end a long run
@@ -163,7 +166,7 @@ class Run:
         if failed or not self.options.quiet:
             text = _join_counts(done, counts)
             click.echo(f"roadtorch: {text}; results in {self.ledger.folder}", err=True)
-            for line in least_trusted_lines(rows):
+            for line in [] if self.options.quiet else least_trusted_lines(rows):
                 click.echo(line)
         return 1 if failed else 0
 

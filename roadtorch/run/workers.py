@@ -152,9 +152,9 @@ def make_workers(jobs: int | None, count: int | None = None, device: str = "cpu"
     return Workers(max(jobs, 1))
 
 
-def configure_threads(threads: int, device: str = "cpu") -> None:
-    """Set the threads of torch and OpenCV, and malloc; ConfigError for an unavailable device."""
-    Threads(threads, threads).set()
+def configure_threads(device: str = "cpu") -> None:
+    """Give torch and OpenCV one thread, set malloc; ConfigError for an unavailable device."""
+    Threads(1, 1).set()
     keep_freed_memory()
     check_device(device, f"--device {device}")
 

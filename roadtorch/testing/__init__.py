@@ -59,7 +59,7 @@ def contract_violations(entry: Entry, **settings: object) -> list[str]:
     for check in CONTRACT_CHECKS:
         try:
             violations.append(next(check(detector, again), None))
-        except ConfigError as error:  # what ``detect`` itself refuses
+        except (ConfigError, InputError) as error:  # what ``detect`` itself refuses
             violations.append(error.problem)
     return [f"{entry.name} {text}" for text in violations if text is not None]
 
@@ -67,8 +67,7 @@ def contract_violations(entry: Entry, **settings: object) -> list[str]:
 def street(height: int, width: int, random_seed: int = 0) -> Tensor:
     """Return an image (3, H, W) of a noisy grey wedge under a pale sky, a minimal street."""
     generator = torch.Generator().manual_seed(random_seed)
-    rows = torch.linspace(0, 1, height).view(-1, 1)
-    columns = torch.linspace(-1, 1, width).view(1, -1)
+    rows, columns = torch.linspace(0, 1, height)[:, None], torch.linspace(-1, 1, width)
     road = (rows > 0.45) & (columns.abs() < rows - 0.3)
     colours = torch.tensor([[0.7, 0.8, 0.95], [0.3, 0.45, 0.2], [0.45, 0.45, 0.47]])
     classes = torch.where(road, 2, (rows > 0.45).long().expand(height, width))
@@ -239,4 +238,5 @@ def _equal(first: Detection, second: Detection) -> bool:
         {"likelihood": detection.likelihood, "mask": detection.mask, **detection.cues}
         for detection in (first, second)
     )
-    return maps.keys() == copies.keys() and all(torch.equal(maps[k], copies[k]) for k in maps)
+    is_equal = maps.keys() == copies.keys() and first.trust == second.trust
+    return is_equal and all(torch.equal(maps[k], copies[k]) for k in maps)

@@ -105,7 +105,7 @@ class Canvas:
 
     def fill(self, mask: np.ndarray, colour: np.ndarray, code: int) -> None:
         """Fill the pixels of a mask with a colour and a class."""
-        self.rgb[mask] = colour[mask] if np.ndim(colour) == 3 else colour
+        self.rgb[mask] = colour
         self.classes[mask] = code
 
 

@@ -355,8 +355,7 @@ def build_training(values: dict[str, Any]) -> Training:
     if kind not in TRAINING_KINDS:
         raise unknown_name_error("kind of training", kind, TRAINING_KINDS)
     settings = build_settings(TRAINING_KINDS[kind], nested)
-    if isinstance(settings, ImageTraining | SelfTraining):
-        check_initial_weights(settings)
+    check_initial_weights(settings)
     if isinstance(settings, SelfTraining) and settings.rounds[0].target and settings.is_new:
         message = "is not 0, but no network has learned yet that could label them"
         raise ConfigError("rounds.0.target", message, "learn from source images first")
@@ -366,9 +365,9 @@ def build_training(values: dict[str, Any]) -> Training:
     return settings
 
 
-def check_initial_weights(settings: ImageTraining | SelfTraining) -> None:
+def check_initial_weights(settings: Training) -> None:
     """Raise ConfigError where a new network's backbone and its initial weights disagree."""
-    initial, backbone = settings.initial_weights, settings.network.backbone
+    initial, backbone = settings.initial_weights, getattr(settings.network, "backbone", "none")
     if settings.is_new and (initial == IMAGENET) == (backbone == "none"):
         message = f"is {initial or 'empty'}, but network.backbone is {backbone}"
         hint = 'give imagenet with lite0 or lite2, and "" with none'

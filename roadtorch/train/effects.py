@@ -39,7 +39,7 @@ NIGHT_LEVEL = (0.03, 0.3)
 """Brightness without headlights, 1 being day."""
 
 MAX_LAMPS, LAMP_LEVEL = 6, (0.3, 4.0)
-"""Largest number of lamps at night; their brightness, where 1 is white: surroundings saturate."""
+"""End of the range of lamps at night; their brightness, where 1 is white: surroundings saturate."""
 
 FOG_DENSITY = (0.02, 0.15)
 """Densities of fog: 37 % of the contrast remains on ground this fraction of the height below the

@@ -12,10 +12,10 @@ def recording_name(name: str, separator: str) -> str:
 def select_held_out(names: Sequence[str], fraction: float, separator: str) -> list[str]:
     """Select a fraction of names, at least one: whole recordings, the smallest first. Ours.
 
-    The last names where recordings are unknown or too large, as neighbouring frames are alike.
-    Empty for a single name, or a fraction of 0.
+    The last names where recordings are unknown or too large, as neighbouring frames are alike. One
+    at least is left to learn from; empty for a single name, or a fraction of 0.
     """
-    limit = math.ceil(fraction * len(names)) if len(names) > 1 else 0
+    limit = min(math.ceil(fraction * len(names)), len(names) - 1)
     recordings: dict[str, list[str]] = {}
     for name in sorted(names):
         recordings.setdefault(recording_name(name, separator), []).append(name)

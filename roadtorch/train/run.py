@@ -116,7 +116,7 @@ def make_recipe(training: Training, source: Sequence[Path] = (), corrected: int 
     """
     if corrected and not isinstance(training, ImageTraining):
         message = f"are for trainings of the kind {ImageTraining.name}"
-        raise ConfigError("--corrections", message, "leave them out, or give --config corrections")
+        raise ConfigError("--masks, --corrections", message, "leave them out, or --config")
     if isinstance(training, SelfTraining):
         return SelfTrainingRecipe(training, source)
     if source:
@@ -228,8 +228,7 @@ class TrainingRun:
         validation = [corrected.pop(file) for file, name in files.items() if name in held_out]
         trained = [file for file, name in files.items() if name not in held_out]
         progress = _read_progress(state, path / CHECKPOINT) if state else TrainingProgress()
-        inputs = TrainingInputs(trained, corrected, self.initial, path)
-        inputs = inputs._replace(device=self.request.device)
+        inputs = TrainingInputs(trained, corrected, self.initial, path, device=self.request.device)
         network = self.initial or make_network(self.training)
         while True:
             loop = self._train_round(network, inputs, progress, state, validation)

@@ -115,7 +115,7 @@ class RunFolder:
 
     def begin(self, record: Mapping[str, object]) -> None:
         """Remove half-written files of killed runs, and write the record of this run."""
-        remove_leftovers([self.path, *self.path.glob(f"{LABELS}*")])
+        remove_leftovers(self.path.glob(f"{LABELS}*"))
         write_text(self.path / RUN, json.dumps(record, indent=1) + "\n")
 
     def _read_record(self) -> dict[str, Any] | None:

@@ -113,6 +113,13 @@ class SelfTeacher:
         return {"maps": to_uint8(resize_maps(self.label(image), size).clamp(0, 1))}
 
 
+def label_key(
+    image: Item, weights: Path, sizes: Sequence[tuple[int, int]], size: tuple[int, int]
+) -> str:
+    """Return the cache key of the labels of an image; a worker gets this function by its name."""
+    return cache_key(weights, sizes, size, image.path)
+
+
 def label_targets(maps: Tensor, training: SelfTraining) -> Targets:
     """Return the targets of labels (n, 5, H, W) in [0, 1] of ``SelfTeacher``; of no ego car."""
     layout, road, street = maps.split([NUM_CLASSES, 1, 1], 1)
@@ -306,13 +313,13 @@ class SelfTrainingRecipe(Recipe):
             file.relative_to(prepared).with_suffix("").as_posix(): file for file in inputs.files
         }
         items = [self._images[name] for name in files]
-
-        def key(image: Item) -> str:
-            return cache_key(weights, sizes, size, image.path)
-
+        key = partial(label_key, weights=weights, sizes=sizes, size=size)
         preparation = Preparation(inputs.labels, key, partial(teacher.compute, size=size))
-        labelled = prepare(items, preparation, stop, quiet)
-        return {files[item.name]: item.file for item in labelled if item.file}
+        prepared_items = prepare(items, preparation, stop, quiet)
+        labelled = {files[item.name]: item.file for item in prepared_items if item.file}
+        if not labelled and not stop.requested:
+            raise InputError("--images", "holds no image that could be labelled", "see above")
+        return labelled
 
     def finish_round(self, network: LayoutNetwork, out: Path, number: int) -> LayoutNetwork:
         """Write the exponential mean of the rounds whose backbone learned; return it.
@@ -365,7 +372,7 @@ class SelfTrainingRecipe(Recipe):
             "command": f"`{command}`" if command else "",
             "seed": str(training.random_seed),
             "config": f"SHA-256 {origin['config_sha256']}, roadtorch {origin['roadtorch']}",
-            "human road labels": "none",
+            "human road labels": "see above" if origin["corrections"] else "none",
             "terms": "not stated yet: those of the images above apply",
         }
         lines = ["# A network of one self-training run", "", "| | |", "|---|---|"]

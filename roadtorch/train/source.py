@@ -38,11 +38,16 @@ WORLD = re.compile(r"(\d+)_([^_]+)_.+")
 
 @dataclass(frozen=True)
 class SourceImage:
-    """A source image, its kind, and the files of its truth: one code, or road and layout."""
+    """A source image, its kind, and the files of its truth.
+
+    is_coded: whether ``truth`` has codes of everything, as worlds have, or road alone, to which
+    ``layout`` may be added.
+    """
 
     item: Item
     kind: str
     truth: Path
+    is_coded: bool
     layout: Path | None = None
 
     @property
@@ -72,7 +77,7 @@ def _find_images(folder: Path, number: int) -> list[SourceImage]:
     images, is_coded = list[SourceImage](), (folder / "truth").is_dir()
     for item in find_images([folder / "images"]):
         name, kind, layout = f"{item.name}.png", folder.name, folder / "layout" / f"{item.name}.png"
-        world = WORLD.fullmatch(item.name) if is_coded else None
+        world = WORLD.fullmatch(Path(item.name).name) if is_coded else None
         if world:
             kind = world[2]
             if int(world[1]) % NUMBERS >= HELD_OUT:
@@ -80,29 +85,34 @@ def _find_images(folder: Path, number: int) -> list[SourceImage]:
         truth = folder / ("truth" if is_coded else "road") / name
         has_layout = not is_coded and layout.exists()
         named = replace(item, name=f"{number}/{item.name}")
-        images.append(SourceImage(named, kind, truth, layout if has_layout else None))
+        images.append(SourceImage(named, kind, truth, is_coded, layout if has_layout else None))
     return images
 
 
 def read_truth(source: SourceImage) -> Tensor:
     """Read the truth of a source image as codes uint8 (H, W); InputError for a missing file."""
-    codes = _read_codes(source.truth)
-    if source.truth.parent.name == "truth":
-        return torch.from_numpy(codes)
+    if source.is_coded:
+        return torch.from_numpy(_read_codes(source.truth, NOT_ROAD_CODE))
+    codes = _read_codes(source.truth, 1)
     layout = np.full_like(codes, NOT_ROAD_CODE)
     if source.layout:
-        classes = _read_codes(source.layout)
+        classes = _read_codes(source.layout, NUM_CLASSES - 1)
         layout = np.where(classes == VOID_CODE, layout, classes)
-    codes = np.where(
-        codes == VOID_CODE, np.uint8(VOID_CODE), np.where(codes == 1, np.uint8(ROAD_CODE), layout)
-    )
-    return torch.from_numpy(codes)
+    layout[codes == 1] = ROAD_CODE
+    layout[codes == VOID_CODE] = VOID_CODE
+    return torch.from_numpy(layout)
 
 
-def _read_codes(path: Path) -> np.ndarray:
+def _read_codes(path: Path, largest: int) -> np.ndarray:
+    """Read codes uint8 (H, W), 0 to the largest or void; InputError for any other file."""
     pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
     if pixels is None or pixels.ndim != 2 or pixels.dtype != np.uint8:
         raise InputError(path, "is no truth of a source image", "give a grey PNG of codes")
+    wrong = pixels[(pixels > largest) & (pixels != VOID_CODE)]
+    if wrong.size:
+        raise InputError(
+            path, f"has the value {wrong[0]}", f"give 0 to {largest}, {VOID_CODE} void"
+        )
     return np.asarray(pixels)
 
 
@@ -126,8 +136,7 @@ def prepare_source(image: Tensor, source: SourceImage, size: tuple[int, int]) ->
     The ego car is 255 ego, 0 not, 128 unknown: only worlds know it.
     """
     codes = reduce_truth(read_truth(source), size)
-    knows_ego = source.truth.parent.name == "truth"
-    ego = torch.where((codes == VOID_CODE) | (not knows_ego), 128, 255 * (codes == EGO_CODE))
+    ego = torch.where((codes == VOID_CODE) | (not source.is_coded), 128, 255 * (codes == EGO_CODE))
     small = to_uint8(resize_maps(image, size).clamp(0, 1))
     return {"image": small, "codes": codes, "ego": ego.to(torch.uint8)}
 

@@ -27,7 +27,7 @@ from roadtorch.layout.image_network import (
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.pretrained import load_imagenet_weights, measure_norms, scale_layers
 from roadtorch.layout.weights import BackboneNetwork
-from roadtorch.run.memo import Arrays, cache_key, file_digests, make_cached_reader, read_arrays
+from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
 from roadtorch.train.augmentation import InputResize, augment_batch
 from roadtorch.train.config import HeadWeights, ImageTraining, SelfTraining
 from roadtorch.train.corrections import scale_learning_rate
@@ -330,10 +330,6 @@ def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tenso
 # --- recipe -----------------------------------------------------------------------------
 
 
-TEACHER_KEYS = {"detector", "weights", "working"}
-"""Settings of a teacher on which its maps depend."""
-
-
 class ImageRecipe(Recipe):
     """Training of a whole-image network."""
 
@@ -342,15 +338,13 @@ class ImageRecipe(Recipe):
         self._training = training
         self.loss = partial(image_loss, training=training)
         self._teacher = load_teacher(training.teacher)
-        self.preparation = {  # size, and what the teacher's maps depend on
-            **(teacher := training.teacher.model_dump(include=TEACHER_KEYS)),
-            "files": file_digests(teacher),
-            "size": [training.network.height, training.network.width, training.network.upper_rows],
-        }
+        network = training.network
+        size = network.height, network.width, network.upper_rows
+        self._preparation = cache_key(self._teacher, size)
 
     def key(self, image: Item) -> str:
         """Return the cache key of a prepared image."""
-        return cache_key(self.preparation, image.path)
+        return cache_key(self._preparation, image.path)
 
     def prepare(self, image: Tensor, name: str) -> Arrays:
         """Prepare an image at the network's size, with the teacher's maps."""

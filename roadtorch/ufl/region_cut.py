@@ -126,12 +126,12 @@ def source_side(source: Tensor, sink: Tensor, pairs: Tensor, between: Tensor) ->
     """
     from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-    count = len(source)
-    nodes = np.arange(count)
+    count, nodes = len(source), np.arange(len(source))
     first, second = pairs.numpy().T
     rows = np.concatenate([np.full(count, count), nodes, first, second])
     columns = np.concatenate([nodes, np.full(count, count + 1), second, first])
-    capacity = torch.cat([source, sink, between, between]).mul(CAPACITY).round().int().numpy()
+    capacity = torch.cat([source, sink, between, between]).mul(CAPACITY)
+    capacity = capacity.clamp_max(2**29).round().int().numpy()  # residuals stay int32
     graph = coo_array((capacity, (rows, columns)), (count + 2, count + 2)).tocsr()
     residual = graph - maximum_flow(graph, count, count + 1).flow
     residual.data = np.maximum(residual.data, 0)

@@ -80,7 +80,8 @@ def test_assignments_become_nested_values_of_their_toml_type() -> None:
     [
         *(([item], "is not a setting") for item in ("", "bins", "=3", "a..b=1", ".a=1")),
         (["a=1", "a.b=2"], "a is already set to a value"),
-        (["a.b=2", "a=1"], "is a group of settings"),
+        (["a.b=2", "a=1"], "is a group of settings, or is given twice"),
+        (["a=2", "a=1"], "is a group of settings, or is given twice"),
     ],
 )
 def test_a_wrong_assignment_is_refused(items: list[str], problem: str) -> None:

@@ -27,7 +27,6 @@ from roadtorch.camera.views import (
 )
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detection import Detection
-from roadtorch.detectors.rectified import Rectified
 from tests.streets import drive, scene
 
 WIDTH, HEIGHT = 192, 144
@@ -56,10 +55,7 @@ def ground_texture(rays: np.ndarray, pitch: float) -> np.ndarray:
     """
     ahead, aside, up = (rays @ np.array(camera_pose(1, pitch).axes)).T
     depth = np.maximum(-up / np.linalg.norm(rays, axis=1), 1e-3)
-    x, y = (
-        ahead / np.linalg.norm(rays, axis=1) / depth,
-        aside / np.linalg.norm(rays, axis=1) / depth,
-    )
+    x, y = np.stack([ahead, aside]) / np.linalg.norm(rays, axis=1) / depth
     road = np.exp(-((y / 6) ** 2)) * (0.75 + 0.25 * np.cos(x) * np.cos(math.pi * y / 2))
     return road * np.clip((depth - 0.1) * 4, 0, 1)
 
@@ -246,7 +242,7 @@ def test_the_maps_of_a_fisheye_have_its_shape_and_end_at_its_circle(name: str) -
     assert detection.cues.keys() == plain.cues.keys()
     for cue, values in detection.cues.items():
         assert (values.shape, values.dtype) == (plain.cues[cue].shape, plain.cues[cue].dtype)
-    wrapped = copy.deepcopy(Rectified(load_detector(name), Rectification(lens=lens)))
+    wrapped = copy.deepcopy(load_detector(name, rectification=Rectification(lens=lens)))
     assert wrapped(image).likelihood.equal(detection.likelihood)
     with pytest.raises(InputError, match="the calibration 192×144"):
         detect(name, image[:, :72], lens)

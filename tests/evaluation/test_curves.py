@@ -96,12 +96,8 @@ def test_calibration_equals_scikit_learn(bins):
 @pytest.mark.parametrize(
     "figure",
     [
-        *(
-            metrics.auc,
-            metrics.average_precision,
-            curves.brier_score,
-            curves.expected_calibration_error,
-        ),
+        *(metrics.auc, metrics.average_precision),
+        *(curves.brier_score, curves.expected_calibration_error),
         lambda counts: metrics.max_f(counts)[0],
         lambda counts: curves.operating_points(counts).x,
         lambda counts: curves.area(curves.operating_points(counts)),

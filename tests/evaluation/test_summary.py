@@ -29,10 +29,7 @@ from tests.evaluation.conftest import GROUPS, answering, scores_of, tally_of
 
 
 def counts_of(road_levels: dict[int, int], other_levels: dict[int, int], levels=11) -> RoadCounts:
-    road, background = (
-        torch.zeros(levels, dtype=torch.int64),
-        torch.zeros(levels, dtype=torch.int64),
-    )
+    road, background = torch.zeros(2, levels, dtype=torch.int64)
     for part, chosen in ((road, road_levels), (background, other_levels)):
         for level, number in chosen.items():
             part[level] = number

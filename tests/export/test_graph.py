@@ -34,9 +34,8 @@ def normalised(kind: str, image: Tensor) -> Tensor:
 
 
 def trust(road: Tensor) -> Tensor:
-    seed, ego = find_seed_area(log_odds(road), 0.05), torch.zeros_like(road, dtype=torch.bool)
-    cues = {"learned_road": road, "seed_area": seed, "ego": ego}
-    signs, mask = trust_features(road, road > 0.5, cues), road > 0.5
+    mask, ego = road > 0.5, torch.zeros_like(road, dtype=torch.bool)
+    signs = trust_features(road, mask, ego)
     return torch.as_tensor(estimate_trust(signs, mask.flatten(-2).any(-1), TrustSettings()).trust)
 
 

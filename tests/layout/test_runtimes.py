@@ -124,11 +124,7 @@ def test_a_graph_is_traced_once_and_again_if_damaged(
     [
         ("fusion", {"runtime": "onnxrutime"}, "onnxrutime: unknown runtime (did you mean onnxr"),
         ("fusion", {"runtime": "tensorrt"}, "unknown runtime (known: onnxruntime, torch)"),
-        (
-            "cpf",
-            {"runtime": "onnxruntime"},
-            "cpf: has no whole-image network for onnxruntime (leave",
-        ),
+        ("cpf", {"runtime": "onnxruntime"}, "cpf: has no whole-image network for onnxruntime (le"),
         ("layout:cnn-7", {"runtime": "onnxruntime"}, "layout:cnn-7: has no whole-image network"),
     ],
 )

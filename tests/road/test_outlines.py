@@ -110,24 +110,21 @@ def test_thin_holes_are_road_by_one_byte_level(hole: tuple[slice, slice], is_fil
 
 
 NOWHERE = torch.zeros(20, 20, dtype=torch.bool)
-SEED, EGO = NOWHERE.clone(), NOWHERE.clone()
-SEED[18:, 4:6], EGO[15:] = True, True
+EGO = NOWHERE.clone()
+EGO[15:] = True
 ROAD = torch.zeros(20, 20)
 ROAD[:, :10] = 1  # over the left half
 UNSURE_ABOVE, UNSURE_BELOW = ROAD.clone(), ROAD.clone()
 UNSURE_ABOVE[:5], UNSURE_BELOW[15:] = 0.5, 0.5
-BEST = TrustFeatures(stability=1, expected=1, seed=1, entropy=0)
+BEST = TrustFeatures(stability=1, expected=1, entropy=0)
 
 
 def signs(
     likelihood: Tensor = ROAD,
     mask: Tensor = ROAD > 0.5,
-    learned: Tensor = ROAD,
     ego: Tensor = NOWHERE,
 ) -> TrustFeatures:
-    return trust_features(
-        likelihood, mask, {"learned_road": learned, "seed_area": SEED, "ego": ego}
-    )
+    return trust_features(likelihood, mask, ego)
 
 
 def test_the_signs_of_a_mask_tell_what_is_wrong_with_it() -> None:
@@ -137,7 +134,6 @@ def test_the_signs_of_a_mask_tell_what_is_wrong_with_it() -> None:
     undecided = BEST._replace(stability=150 / 250, entropy=0.25, expected=2 * 175 / (200 + 200))
     assert signs(likelihood=UNSURE_ABOVE) == pytest.approx(undecided, abs=1e-6)
     assert signs(mask=~NOWHERE).expected == pytest.approx(2 * 200 / (400 + 200))
-    assert signs(learned=ROAD.flip(-1)).seed == 0
     assert signs(likelihood=UNSURE_BELOW, ego=EGO) == signs(ego=EGO)  # the ego car is not asked
     assert all(0 <= sign <= 5 for sign in signs(0.6 - 0.2 * ROAD, NOWHERE))  # an empty mask
 
@@ -145,7 +141,7 @@ def test_the_signs_of_a_mask_tell_what_is_wrong_with_it() -> None:
 def test_better_signs_are_trusted_more_and_usual_ones_without_a_doubt() -> None:
     best = estimate_trust(BEST, True, TrustSettings())
     usual = estimate_trust(MEAN_FEATURES, True, TrustSettings())
-    worst = estimate_trust(TrustFeatures(0, 0, 0, 0), True, TrustSettings())
+    worst = estimate_trust(TrustFeatures(0, 0, 0), True, TrustSettings())
 
     assert 0 <= worst.trust < usual.trust < best.trust <= 1  # better, and in its range
     assert usual.doubt == ""
@@ -159,7 +155,7 @@ def test_better_signs_are_trusted_more_and_usual_ones_without_a_doubt() -> None:
 
 def test_where_all_is_in_doubt_there_is_no_road() -> None:
     judged = estimate_trust(
-        TrustFeatures(stability=0.1, expected=0.8, seed=0.9, entropy=0.8), True, TrustSettings()
+        TrustFeatures(stability=0.1, expected=0.8, entropy=0.8), True, TrustSettings()
     )
 
     assert judged.trust < 0.3

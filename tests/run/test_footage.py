@@ -1,6 +1,7 @@
 """roadtorch infer on videos and streams: real files in, real files out."""
 
 import hashlib
+import json
 import shutil
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item, Selection
 from roadtorch.inputs.video import video_source
+from roadtorch.run.ledger import IndexRow, Ledger
 from roadtorch.run.writers.video import VideoWriter
 from tests.command import GREY, ROWS, Call, bytes_in, files_in, read_index_rows
 from tests.inputs.bags import FIRST, STEP, write_drive
@@ -106,6 +108,23 @@ def test_neither_the_number_of_jobs_nor_the_source_changes_a_byte(
         for jobs in "13"
     ]
     assert lasting[0] == lasting[1]
+
+
+def test_a_video_is_done_with_its_options_and_its_frames_alone(
+    run: Call, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows, add = list[IndexRow](), Ledger.add
+    run("--save", "mask,polygons", "--limit", 3)
+    monkeypatch.setattr(Ledger, "add", lambda *words: (rows.append(words[1]), add(*words)))
+
+    again = run("--save", "mask,polygons", "--limit", 2)
+
+    assert again.stderr.endswith(f"1 done; results in {out}\n")
+    assert (rows[0].file, rows[0].failed) == ("drive.mp4", True)  # what a killed run would leave
+    coco = json.loads((out / "coco.json").read_text())
+    assert [entry["file_name"] for entry in coco["images"]] == ["drive/000000", "drive/000001"]
+    shutil.rmtree(out / "drive")
+    assert "(done before)" not in run("--save", "mask,polygons", "--limit", 2).stderr
 
 
 # --- bags -------------------------------------------------------------------------------

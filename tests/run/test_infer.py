@@ -127,13 +127,13 @@ def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: 
 
     threads = Threads.current()
     try:
-        run("--threshold", "0.4", "--threads", "2")
+        run("--threshold", "0.4")
     finally:
         threads.set()
 
     record = json.loads((out / "run.json").read_text())
     assert record["versions"]["torch"] == torch.__version__
-    assert record["threads"] == {"torch": 2, "opencv": 2}
+    assert record["threads"] == {"torch": 1, "opencv": 1}
     assert record["detector"] == "prior:rows"
     assert record["settings"]["threshold"] == 0.4
     assert record["images"] == {"all": 4, "done": 3, "doubtful": 0, "failed": 1, "not_tried": 0}
@@ -345,6 +345,9 @@ KINDS = "--save json,polygons,cues"
         ("1.png 1.coco.png", f"infer in {KINDS}", "in/1.coco.png and in/1.png: both would write"),
         (r"1\xff.png " + os.fsdecode(b"1\xff.png"), f"infer in {KINDS}", r"in/1\xff.png and in/1"),
         ("b.png", "infer gone/", "gone: does not exist ("),
+        ("b.png", "infer in --set device=cpu", "device: unknown setting"),
+        ("b.png", "infer in --detector ''", "error: : unknown detector (known"),
+        ("b.png", "infer in --end inf", "end: inf was given"),
         ("b.png", "infer ''", "'': is an empty name (give a file or a folder)"),
         ("b.png", "infer in --out s3://bucket/out", "s3:/bucket/out: is an address (give a local"),
         ("b.png", "infer in --out locked", "locked: another run is writing here (wait for it, or "),

@@ -146,7 +146,7 @@ def test_the_command_reads_what_annotate_kept(streets: Path, cache: Path, tmp_pa
     EventLog(log_path(logs, name), head).add(make_import_event(quarters(60, 80).astype(np.uint8)))
     config = write_config(tmp_path / "train.toml", IMAGES)
     words = ["--config", config, "--images", streets, "--out", tmp_path / "run", "--quiet"]
-    words += ["--corrections", logs, "--corrected-images", streets, "--prepared", cache / "images"]
+    words += ["--corrections", logs, "--corrected-images", streets]
 
     result = invoke_command(train_command, *words)
 

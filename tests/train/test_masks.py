@@ -166,7 +166,7 @@ def test_masks_train_and_the_held_out_image_scores(
         cv2.imwrite(str(masks / f"street_{seed}_mask.png"), road)
     config = write_config(tmp_path / "train.toml", IMAGES)
     words = ["--config", config, "--masks", masks, "--images", streets, "--out", out]
-    words += ["--prepared", cache / "images", "--set", "corrections.held_out=0.2"]
+    words += ["--set", "corrections.held_out=0.2"]
 
     result = invoke_command(train_command, *words)
 

@@ -185,7 +185,7 @@ def test_the_status_of_the_command_names_the_signal(
 ) -> None:
     config, out = write_config(tmp_path / "c.toml", PATCHES), tmp_path / "run"
     interrupt_after(1, monkeypatch)
-    words = ["--config", config, "--images", streets, "--out", out, "--prepared", cache / "patches"]
+    words = ["--config", config, "--images", streets, "--out", out]
 
     result = call("train", *words)
 

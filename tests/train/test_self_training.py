@@ -100,7 +100,7 @@ def test_the_command_takes_source_images(
     words = ["--config", config, "--images", streets, "--out", tmp_path / "run"]
 
     missing = call("train", *words)
-    result = call("train", *words, "--source", worlds, "--prepared", cache / "self")
+    result = call("train", *words, "--source", worlds)
 
     assert "--source: is missing" in missing.stderr
     assert result.exit_code == 0

@@ -69,6 +69,9 @@ def test_an_image_without_truth_is_told(tmp_path: Path) -> None:
 
     with pytest.raises(InputError, match=r"0123_a\.png: is no truth of a source image"):
         targets_of(folder)
+    cv2.imwrite(str(folder / "road" / "0123_a.png"), np.full(SIZE, 3, np.uint8))
+    with pytest.raises(InputError, match=r"0123_a\.png: has the value 3 \(give 0 to 1"):
+        targets_of(folder)
 
 
 # --- truth ------------------------------------------------------------------------------

@@ -106,9 +106,7 @@ def test_both_borders_of_a_road_are_found_and_it_lies_between(first: int, second
 
     assert sorted((borders.first, borders.second)) == [first, second]
     assert torch.equal(borders.point, POINT)
-    angle, below = (
-        vanishing.pixel_angles(POINT, SIZE),
-        torch.arange(SIZE[0])[:, None] > POINT[0] + 1,
-    )
+    angle = vanishing.pixel_angles(POINT, SIZE)
+    below = torch.arange(SIZE[0])[:, None] > POINT[0] + 1
     expected = (angle > first) & (angle < second) & below
     assert (vanishing.road_between(borders, SIZE) == expected).float().mean() > 0.98

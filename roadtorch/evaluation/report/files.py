@@ -68,9 +68,9 @@ def build_page(
 ) -> str:
     """Return report.html: tables, charts and montages, and the meaning of each measure."""
     dataset, groups, failures = evaluation.dataset, evaluation.groups, evaluation.failures
-    left_out = ", ".join(evaluation.left_out)
+    left_out, count = ", ".join(evaluation.left_out), len(groups) + len(evaluation.left_out)
     facts = [
-        f"{evaluation.images} images" + (f" of {len(groups)} groups" if groups else ""),
+        f"{evaluation.images} images" + (f" of {count} groups" if groups else ""),
         f"{left_out} left out of all means and thresholds" if left_out else "",
         f"scored in {dataset.space_name}; void is ignored",
         "images that failed are not scored for any detector" if failures else "",

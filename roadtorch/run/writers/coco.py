@@ -1,13 +1,14 @@
 """NAME.coco.json and coco.json: the masks of one image and of all as COCO files."""
 
 import json
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePath
 
 from roadtorch.base.atomic import atomic_write
 from roadtorch.base.bounded import from_printable
 from roadtorch.base.documents import ForeignDocument, read_document
-from roadtorch.run.ledger import COCO_FILE, INDEX_FILE, IndexRow, has_result, read_index
+from roadtorch.run.ledger import COCO_FILE, FRAME_NUMBER, IndexRow, has_result
 
 POLYGONS_SUFFIX = ".coco.json"  # suffix of the COCO file of an image
 
@@ -18,20 +19,19 @@ class _PolygonsFile(ForeignDocument):
     annotations: tuple[dict[str, object], ...]
 
 
-def write_coco(folder: Path) -> None:
-    """Write all images with saved polygons, sorted by file, as one COCO file.
+def write_coco(folder: Path, rows: Iterable[IndexRow]) -> None:
+    """Write all images of an index with saved polygons, sorted by file, as one COCO file.
 
     It is rebuilt from the files of the folder, so that it is complete after interrupted runs.
     Raises InputError when it cannot be written, DatasetError for an unreadable file of an image.
     """
-    rows = read_index(folder / INDEX_FILE).values()
-    saved = [row for row in rows if not row.failed and "polygons" in row.saved.split()]
-    ready = [row for row in saved if has_result(folder, _polygons_name(folder, row.file))]
-    ready.sort(key=lambda row: row.file)
+    saved = (row for row in rows if not row.failed and "polygons" in row.saved.split())
+    files = {row: name for row in saved if (name := _find_polygons(folder, row))}
+    ready = sorted(files, key=lambda row: row.file)
 
     def read_regions(row: IndexRow) -> Sequence[Annotation]:
         """Read the annotations of an image."""
-        path = folder / _polygons_name(folder, row.file)
+        path = folder / files[row]
         with read_document(path, "remove it and infer the image again") as data:
             return _PolygonsFile.model_validate_json(data).annotations
 
@@ -39,11 +39,12 @@ def write_coco(folder: Path) -> None:
         text.writelines(coco_text(ready, read_regions))
 
 
-def _polygons_name(folder: Path, file: str) -> str:
-    """Return the name of the polygons of a row: a frame has no suffix, an image one."""
-    of_image = PurePath(file).with_suffix("").as_posix() + POLYGONS_SUFFIX
-    names = file + POLYGONS_SUFFIX, of_image, from_printable(of_image)
-    return next((name for name in names if has_result(folder, name)), of_image)
+def _find_polygons(folder: Path, row: IndexRow) -> str | None:
+    """Return the name of the polygons of an image or a frame; a source has none of its own."""
+    stem = row.file if row.seconds else PurePath(row.file).with_suffix("").as_posix()
+    is_source = row.seconds and not re.fullmatch(rf".*/{FRAME_NUMBER}", row.file)
+    names = () if is_source else (stem + POLYGONS_SUFFIX, from_printable(stem + POLYGONS_SUFFIX))
+    return next((name for name in names if has_result(folder, name)), None)
 
 
 def coco_text(

@@ -42,8 +42,8 @@ Renderer = Callable[[Detection], np.ndarray]
 class VideoWriter:
     """A video that is written frame by frame, and renamed to its path when it is closed.
 
-    path: of the MP4 file. draw: returns the pixels of a detection. rate: frames per second of
-    frames without time stamps. Time stamps start at 0; gaps longer than ``MAX_GAP`` are cut, with a
+    path: of the MP4 file. draw: returns the pixels of a detection. rate: declared frames per
+    second. Time stamps start at 0; gaps longer than ``MAX_GAP`` are cut, with a
     warning. Frames get the size of the first one, with odd sides padded by repeating the last row
     or column. One thread encodes, so that the bytes do not depend on the number of cores.
     """
@@ -58,10 +58,7 @@ class VideoWriter:
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
         """Encode a frame; InputError when the file cannot be written."""
-        pixels, seconds = self._draw(detection), item.seconds
-        if seconds is None:
-            elapsed = self._last / TICKS + 1 / self._rate
-            seconds = 0.0 if self._size is None else self._first + elapsed
+        pixels, seconds = self._draw(detection), item.clock
         with self._report_errors():
             if self._size is None:
                 self._open_stream(pixels, seconds)

@@ -76,11 +76,6 @@ class AdaptationResult:
     outcome: Outcome
     verdict: Verdict | None = None
 
-    @property
-    def prepared(self) -> Path:
-        """Folder of the prepared frames."""
-        return self.frames.folder.with_name(PREPARED)
-
 
 def adapt(
     inputs: Sequence[str], out: Path, training: ImageTraining, limit: int, quiet: bool = False
@@ -92,7 +87,7 @@ def adapt(
     """
     folders = (f"{name}/" for name in (FRAMES, TEACHER_LABELS, PREPARED, *HALVES))
     with RunFolder(out).lock((CAMERA_FILE, WEIGHTS, CARD, LOG, ADAPTATION_PAGE, *folders)):
-        remove_leftovers([out, out / FRAMES])
+        remove_leftovers([out / FRAMES])
         frames = sample_frames(inputs, out / FRAMES, limit, quiet)
         error = _write_camera(frames, out / CAMERA_FILE, inputs[0])
         missing = [f"no {CAMERA_FILE}: {error.where} {error.problem}"] if error else []
@@ -149,7 +144,7 @@ def write_smoothed_labels(
     nothing is averaged.
 
     labels: folder of the teacher's labels, reused one by one; ``prepared`` is reused only if all
-    of it is current. Returns the signal that interrupted it. Takes 0.5 MB of memory a frame.
+    of it is current. Returns the signal that interrupted it. Takes 1.5 MB of memory a frame.
     """
     images = frames.images()
     with stop_on_signals() as stop:

@@ -76,7 +76,7 @@ def sample_frames(
     other footage, InputError for fewer than two readable frames.
     """
     images, sources = find_inputs(inputs)
-    digests = [item.digest() if item.digest else "" for item in [*images, *sources]]
+    digests = [(item.digest and item.digest()) or item.origin for item in [*images, *sources]]
     list_file, key = folder / FRAME_LIST, cache_key(digests, limit)
     sample = _read(list_file, folder, key)
     if sample is None:

@@ -1,10 +1,10 @@
 """The decision whether to adopt an adapted network, by agreement with a teacher. Ours.
 
-Without labels, a network is judged by the F-score of its mask against the teacher's, where the
-teacher is certain, on the half of the footage that it was not trained on. A half's network is worse
-than the average of both, which is the result; the average was trained on these frames, so that its
-score is optimistic. Hence the held-out network must gain for "adopt", and it must lose and the
-average not gain for "do not adopt". Trust is no evidence: training on the labels raises it.
+Without labels, a network is judged by the F-score of its mask against the teacher's on the half of
+the footage that it was not trained on. A half's network is worse than the average of both, which is
+the result; the average was trained on these frames, so that its score is optimistic. Hence the
+held-out network must gain for "adopt", and it must lose and the average not gain for "do not
+adopt". Trust is no evidence: training on the labels raises it.
 """
 
 import math
@@ -25,12 +25,12 @@ from roadtorch.evaluation.result import Difference, Interval
 from roadtorch.evaluation.uncertainty import percentile_interval, pooled_f, sample_weights
 from roadtorch.imaging.resize import spatial_size
 from roadtorch.inputs.item import Item, evenly_spaced
+from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.run.loop import Inference
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.adaptation.frames import RUN_LENGTH
 from roadtorch.train.config import ImageTraining
 from roadtorch.train.prepared import from_uint8, image_file_name
-from roadtorch.train.targets import make_targets
 from roadtorch.train.teachers import resize_as_prepared
 
 MAX_JUDGED = 150
@@ -98,11 +98,11 @@ def count_masks(
     """Compare three networks' masks (``MaskCounts``) with the teacher's maps of prepared frames."""
     detectors = [load_detector("fusion", weights={"file": str(file)}) for file in weights]
     counts: list[list[Tensor]] = [[] for _ in weights]
-    for image, road, sure in _labelled_frames(images, prepared, training, "evaluating", quiet):
+    for image, road in _labelled_frames(images, prepared, "evaluating", quiet):
         for rows, detector in zip(counts, detectors, strict=True):
             mask = Inference(detector)(image).mask.float()[None]
             mask = resize_as_prepared(mask, training.network, spatial_size(road))[0]
-            rows.append(torch.stack(tuple(count_mask(mask >= 0.5, road, sure))))
+            rows.append(torch.stack(tuple(count_mask(mask >= 0.5, road, torch.ones_like(road)))))
     return MaskCounts(*(torch.stack(rows) if rows else torch.empty(0, 4) for rows in counts))
 
 
@@ -112,38 +112,36 @@ def fit_bias(
     """Fit the bias of a network's road, in log odds, for the best F against the teacher. Ours.
 
     Fine-tuned on soft labels, a network is less or more confident than the one that `fusion` is
-    calibrated for; one bias for all frames corrects that. 0 if the teacher is certain of no road.
+    calibrated for; one bias for all frames corrects that. 0 if the teacher sees no road.
     """
     network_alone = {"weight": 0.0}  # the appearance learned from the network would undo part of it
     detector = load_detector("fusion", weights={"file": str(file)}, appearance=network_alone)
     settings = detector.settings
     assert isinstance(settings, FusionSettings)
     counts: list[RoadCounts] = []
-    for image, road, sure in _labelled_frames(images, prepared, training, "calibrating", quiet):
+    for image, road in _labelled_frames(images, prepared, "calibrating", quiet):
         likelihood = Inference(detector)(image).likelihood[None]
         likelihood = resize_as_prepared(likelihood, training.network, spatial_size(road))[0]
-        counts.append(count_levels(likelihood.clamp(0, 1), road, sure, levels=256))
+        counts.append(count_levels(likelihood.clamp(0, 1), road, torch.ones_like(road), 256))
     if not counts:
         return 0.0
     best, threshold = max_f(reduce(add, counts))
-    if best.isnan():  # the teacher is certain of no road
+    if best.isnan():  # the teacher sees no road
         return 0.0
     shift = torch.tensor(settings.threshold).logit() - threshold.clamp(0.05, 0.95).logit()
     return float(shift * settings.calibration.temperature)
 
 
 def _labelled_frames(
-    images: Sequence[Item], prepared: Path, training: ImageTraining, title: str, quiet: bool
-) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """Yield frames (3, H, W), the teacher's road and its certain pixels, both bool (h, w)."""
+    images: Sequence[Item], prepared: Path, title: str, quiet: bool
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yield frames (3, H, W) and the teacher's road, bool (h, w)."""
     sampled = evenly_spaced(images, MAX_JUDGED)
     for image in Progress(sampled, desc=title, unit="frame", quiet=quiet):
         file = prepared / f"{image_file_name(image)}.npz"
         if not file.exists():
             continue  # skipped and reported before
-        maps = from_uint8(read_arrays(file, "maps")["maps"])[None]
-        targets = make_targets(maps, None, training.teacher)
-        yield image.read(), targets.road[0, 0] >= 0.5, targets.road_weight[0, 0] > 0
+        yield image.read(), from_uint8(read_arrays(file, "maps")["maps"][NUM_CLASSES]) >= 0.5
 
 
 def no_verdict(reason: str, frames: int) -> Verdict:

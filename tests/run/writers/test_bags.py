@@ -63,11 +63,7 @@ def test_masks_are_equal_bit_for_bit_and_stamps_to_the_nanosecond(path: Path):
     sure = [result.likelihood.where(result.mask, 1 - result.likelihood) for result in results]
     for name, encoding, expected in (
         ("mask", "mono8", [result.mask.numpy() for result in results]),
-        (
-            "confidence",
-            "mono8",
-            [confidence.mul(255).round().byte().numpy() for confidence in sure],
-        ),
+        ("confidence", "mono8", [part.mul(255).round().byte().numpy() for part in sure]),
         ("overlay", "rgb8", [overlay(result) for result in results]),
     ):
         messages = [entry for entry in read_bag(path) if entry.topic == f"/segmentation/{name}"]
