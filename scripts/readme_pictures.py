@@ -34,7 +34,7 @@ STEPWISE = "comma10k_0008.jpg"
 """A road with a bonnet in view."""
 
 FAILED = ("walkrobot_jp_005", "offroad_fr_13", "vineyard_it_013", "pothole8_004")
-"""A pavement, a verge, a vineyard without road, a road half in shadow."""
+"""A pavement, a verge, a vineyard without road, a dashboard before a road half in shadow."""
 
 READ = ("rseg_0103", "sc_0123", "aura_0002", "walkrobot_jp_009", "pothole8_004", "mcnight_0007")
 """A country road, a track; a plaza, a pavement; a road half in shadow, a tunnel at night."""

@@ -14,6 +14,9 @@ from roadtorch.imaging.resize import resize_to_image, spatial_size, working_size
 MIN_TRUST = 0.01
 """Least weight of a view, whose trust may be 0."""
 
+IMAGE_WEIGHT = 1.5
+"""Weight of the image beside its views: two or three show a pixel, and are no independent votes."""
+
 
 class Rectified(Detector):
     """A detector of the images of a lens: analyses rectified views, merges their maps by trust.
@@ -45,6 +48,7 @@ class Rectified(Detector):
             weights.append(1.0 if trust is None else max(trust, MIN_TRUST))
             outputs.append(maps if ego is None else {**maps, "ego": ego.to(torch.float32)})
             likelihoods.append(likelihood)
+        weights[-1] *= IMAGE_WEIGHT
         views = [*rectified, view_itself(lens)]
         is_small = isinstance(settings, WorkingSettings)
         small = working_size(*size, settings.working) if is_small else size
