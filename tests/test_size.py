@@ -15,33 +15,33 @@ from roadtorch.cli.group import COMMANDS, main
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
-    "roadtorch/annotate": 2_153,
+    "roadtorch/annotate": 2_150,
     "roadtorch/base": 2_152,
-    "roadtorch/camera": 2_137,
-    "roadtorch/cli": 1_964,
+    "roadtorch/camera": 2_124,
+    "roadtorch/cli": 1_963,
     "roadtorch/data": 2_459,
-    "roadtorch/detectors": 2_368,
+    "roadtorch/detectors": 2_366,
     "roadtorch/evaluation": 3_553,
     "roadtorch/export": 900,
     "roadtorch/imaging": 1_062,
     "roadtorch/inputs": 1_509,
-    "roadtorch/layout": 1_671,
-    "roadtorch/oneclass": 1_735,
-    "roadtorch/road": 1_519,
+    "roadtorch/layout": 1_667,
+    "roadtorch/oneclass": 1_729,
+    "roadtorch/road": 1_510,
     "roadtorch/ros": 534,
     "roadtorch/run": 2_197,
     "roadtorch/testing": 636,
     "roadtorch/train": 3_976,
     "roadtorch/ufl": 1_345,
-    "scripts": 4_504,
-    "tests": 26_537,
-    "train": 4_441,
+    "scripts": 4_503,
+    "tests": 26_531,
+    "train": 4_439,
 }
 """The lines of source code that each folder may have."""
 
 TOP_NAMES = 18
 DEPENDENCIES = 14
-OPTIONS = 84
+OPTIONS = 82
 COMMAND_COUNT = 11
 
 REASON = "cut something, or raise the number and state the reason in the same commit"

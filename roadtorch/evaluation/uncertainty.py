@@ -26,9 +26,9 @@ REPLICATES = 1000
 BOOTSTRAP_SEED = 11
 
 
-def bootstrap_weights(images: int, generator: torch.Generator) -> Tensor:
-    """Draw how often each image counts, int64 (``REPLICATES``, images): rows sum to ``images``."""
-    indices = torch.randint(images, (REPLICATES, images), generator=generator)
+def bootstrap_weights(images: int, generator: torch.Generator, count: int = REPLICATES) -> Tensor:
+    """Draw how often each image counts, int64 (count, images): each row sums to ``images``."""
+    indices = torch.randint(images, (count, images), generator=generator)
     return torch.zeros_like(indices).scatter_add_(1, indices, torch.ones_like(indices))
 
 

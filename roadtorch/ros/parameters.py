@@ -13,7 +13,7 @@ from roadtorch.ros.messages import import_ros
 
 PARAMETER_EXAMPLES = """-p grid.height:=1.2 -p smoothing:=false -p cameras:="['front','rear']\""""
 
-TopicName = Annotated[str, Field(pattern=r"^([A-Za-z](_?[A-Za-z0-9])*_?(/(?!$)|$))+$")]
+TopicName = Annotated[str, Field(pattern=r"(?i)^([a-z](_?[a-z0-9])*_?/)*[a-z](_?[a-z0-9])*_?$")]
 
 
 class NodeParameters(Settings):

@@ -135,6 +135,7 @@ def test_an_option_without_effect_is_refused(
     save_image(tmp_path / "x.jpg")
     words = give(command, option) + (give(command, part) if word == "without" else [])
     words += ["--save", "mask"] * (part == "likelihood") + ["--out", "o"] * (part == "--submit")
+    words += ["--format", "web"] * (part == "onnx")
 
     result = call(command, *WORKING[command].split(), *words)
 

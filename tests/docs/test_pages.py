@@ -201,9 +201,9 @@ def test_the_page_on_fusion_states_the_size_of_the_network_and_the_formula_of_tr
     assert isinstance(network, BackboneNetwork)
     parts = network, network.backbone, network.heads
     stated = [f"{sum(weight.numel() for weight in part.parameters()):,}" for part in parts]
-    stability, expected, seed, _ = trust.FEATURE_WEIGHTS
+    stability, expected, _ = trust.FEATURE_WEIGHTS
 
-    stated += [f"{trust.INTERCEPT} + {stability}\\,s + {expected}\\,e + {seed}\\,r"]
+    stated += [f"({trust.INTERCEPT} + {stability}\\,s + {expected}\\,e\\bigr)"]
     stated += [f"{trust.ROAD_INTERCEPT} + {trust.ROAD_STABILITY}\\,s - {-trust.ROAD_ENTROPY}\\,h"]
     assert [text for text in stated if text not in page] == []
 

@@ -20,7 +20,7 @@ TRIALS = 2000
 
 
 def by_images(values: Tensor, generator: torch.Generator) -> Tensor:
-    weights = uncertainty.bootstrap_weights(values.shape[1], generator)
+    weights = uncertainty.bootstrap_weights(values.shape[1], generator, 2000)
     return values @ weights.double().T / values.shape[1]
 
 
