@@ -59,7 +59,6 @@ class View(NamedTuple):
     lens: Lens
 
 
-@lru_cache(maxsize=CACHED_LENSES)
 def rectified_views(lens: Lens, pitch: float) -> tuple[View, ...]:
     """Return the views that show what a lens sees, each with about as many pixels as the image.
 
@@ -69,6 +68,11 @@ def rectified_views(lens: Lens, pitch: float) -> tuple[View, ...]:
     lens: of the images, at their size. pitch: degrees by which the optical axis points below the
     horizon. Raises ConfigError for a lens that sees nothing in its images.
     """
+    return _plan_views(lens, pitch)  # type: ignore[arg-type]  # frozen: it has a hash
+
+
+@lru_cache(maxsize=CACHED_LENSES)
+def _plan_views(lens: Lens, pitch: float) -> tuple[View, ...]:
     sides = (np.linspace(-0.499, end - 0.501, MESH_POINTS) for end in (lens.width, lens.height))
     rays, visible = visible_rays(lens, np.stack(np.meshgrid(*sides), -1).reshape(-1, 2))
     if not visible.any():

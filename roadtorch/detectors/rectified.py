@@ -37,7 +37,7 @@ class Rectified(Detector):
         rectification = settings.rectification
         assert rectification is not None
         lens = rectification.lens.at(size[1], size[0])
-        rectified = rectified_views(lens, rectification.pitch)  # type: ignore[arg-type]  # frozen
+        rectified = rectified_views(lens, rectification.pitch)
         outputs, likelihoods, weights = list[Mapping[str, Tensor]](), list[Tensor](), list[float]()
         for view in [*(sample_view(image, lens, view) for view in rectified), image]:
             maps, likelihood = super().find_maps(view)
