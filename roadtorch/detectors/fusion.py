@@ -18,6 +18,7 @@ from roadtorch.detectors.entry import (
     WorkingSettings,
     use_inference_mode,
 )
+from roadtorch.detectors.texture import texture_cues
 from roadtorch.imaging.resize import WorkingSize, round_to_pixels, side_length
 from roadtorch.imaging.segments import Segments, paint_segments, segment_mean
 from roadtorch.imaging.slic import Superpixels
@@ -55,7 +56,6 @@ from roadtorch.road.seed_area import (
 from roadtorch.road.texture import (
     Saturation,
     TextureSettings,
-    fused_uniformity,
     uniformity_likelihood,
     unsaturated_uniformity,
 )
@@ -391,19 +391,10 @@ def texture_product(
 
     Returns the product as ``likelihood``, and the cues of the texture (P2 section 4).
     """
-    texture, labels = settings.texture, settings.superpixels.cut(image)
+    labels = settings.superpixels.cut(image)
     seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
-    if settings.descriptor == "cpf":
-        fused, values = fused_uniformity(image, labels, labels >= 0, seed, texture)
-    else:
-        fused, values, _ = unsaturated_uniformity(image, labels, seed, texture, settings.saturation)
-    uniformity = paint_segments(values, labels)
-    cues = {
-        "texture": uniformity_likelihood(uniformity, texture.midpoint),
-        "uniformity": uniformity,
-        "fused_plane": fused,
-        "segments": labels,
-    }
+    saturation = settings.saturation if settings.descriptor == "cpf:v2" else None
+    cues = texture_cues(image, labels, seed, settings.texture, saturation)
     prior = PRIORS[settings.prior](*labels.shape).to(image)
     return {"likelihood": likelihood_product(prior, [learned, cues[cue]]), **cues}
 

@@ -77,32 +77,42 @@ class LbpSettings(WorkingSettings):
     superpixels: Superpixels = Superpixels()
 
 
+def texture_cues(
+    image: Tensor,
+    labels: Tensor,
+    seed: Tensor,
+    settings: TextureSettings,
+    limits: Saturation | None,
+) -> dict[str, Tensor]:
+    """Compute colour plane fusion over segments, and its likelihood as ``texture`` (P2 section 4).
+
+    labels: int64 (H, W). seed: seed area, bool (H, W). limits: of saturated pixels, which are left
+    out (section 6.2); None: all pixels count.
+    """
+    more = dict[str, Tensor]()
+    if limits is None:
+        fused, values = fused_uniformity(image, labels, labels >= 0, seed, settings)
+    else:
+        fused, values, more["saturated"] = unsaturated_uniformity(
+            image, labels, seed, settings, limits
+        )
+    painted = paint_segments(values, labels)
+    texture = uniformity_likelihood(painted, settings.midpoint)
+    cues = {"uniformity": painted, "fused_plane": fused, "segments": labels, **more}
+    return {"texture": texture, **cues}
+
+
 @use_inference_mode
 def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, Tensor]:
-    """Compute the uniformity of the fused plane over superpixels or squares (P2, section 4).
-
-    Saturated pixels are left out for ``CpfV2Settings`` (section 6.2).
-    """
+    """Compute the uniformity of the fused plane over superpixels or squares (P2, section 4)."""
     if isinstance(settings, CpfSquaresSettings):
         labels = square_grid(image.shape[-2], image.shape[-1], settings.square).to(image.device)
     else:
         labels = settings.superpixels.cut(image)
     seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
-    clipped = {}
-    if isinstance(settings, CpfV2Settings):
-        fused, values, clipped["saturated"] = unsaturated_uniformity(
-            image, labels, seed, settings.texture, settings.saturation
-        )
-    else:
-        fused, values = fused_uniformity(image, labels, labels >= 0, seed, settings.texture)
-    likelihood = uniformity_likelihood(values, settings.texture.midpoint)
-    return {
-        "likelihood": paint_segments(likelihood, labels),
-        "uniformity": paint_segments(values, labels),
-        "fused_plane": fused,
-        "segments": labels,
-        **clipped,
-    }
+    saturation = settings.saturation if isinstance(settings, CpfV2Settings) else None
+    cues = texture_cues(image, labels, seed, settings.texture, saturation)
+    return {"likelihood": cues.pop("texture"), **cues}
 
 
 @use_inference_mode

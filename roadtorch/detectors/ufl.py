@@ -69,15 +69,14 @@ def ufl(image: Tensor, settings: UflSettings) -> Mapping[str, Tensor]:
     if settings.isolated == "drop":
         seed = seed_rectangle(masks[0].shape, settings.seed_area)
         masks = [remove_isolated(mask, seed) for mask in masks]
-    size = (mean.shape[0], mean.shape[1])
     stable = torch.sigmoid(SHARPNESS * rounds[-1].pixels).to(mean)
     pixels = map_to_image(stable.where(mean > 0, 0), side)  # 0 where no selected base responds
     likelihood = road_likelihood(masks[-1], pixels)
     return {
         "likelihood": resize_likelihood(likelihood, (height, width)),
         "equalised": learned.equalised,
-        "dictionary": dictionary_image(learned.dictionary, features.order, side, size),
-        "selected_maps": mosaic(features.maps[:, None], size)[0],
+        "dictionary": dictionary_image(learned.dictionary, features.order, side, learned.size),
+        "selected_maps": mosaic(features.maps[:, None], learned.size)[0],
         **figure_maps(features, mean, tree, rounds[-1], side),
         **{f"iteration_{number}": mask for number, mask in enumerate(masks, 1)},
     }
