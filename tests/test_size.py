@@ -17,7 +17,7 @@ SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_150,
     "roadtorch/base": 2_152,
-    "roadtorch/camera": 2_129,
+    "roadtorch/camera": 2_128,
     "roadtorch/cli": 1_963,
     "roadtorch/data": 2_459,
     "roadtorch/detectors": 2_366,

@@ -259,9 +259,9 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     settings = {"weights": {"file": options.weights}} if options.weights else {}
-    if options.part == "trust" and options.worlds is None:
-        parser.error("trust needs --worlds, some of them without any road")
     if options.part == "trust":
+        if options.worlds is None:
+            parser.error("trust needs --worlds, some of them without any road")
         choose_trust(options.data, options.detector, settings, options.worlds)
     else:
         CHOICES[options.part](options.data, options.detector, settings)

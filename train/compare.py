@@ -328,7 +328,7 @@ def main() -> None:
     if options.keep:
         return keep_shipped(options)
     detectors = [load_candidate(text, options.large) for text in (SHIPPED, *options.candidates)]
-    for name in options.sets or ["many", *["worlds"][: len(options.worlds)]]:
+    for name in options.sets or (["many", "worlds"] if options.worlds else ["many"]):
         records = {title: record(name, detector, options) for title, detector in detectors}
         print_table(name, records)
 

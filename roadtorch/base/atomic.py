@@ -102,8 +102,9 @@ def remove_leftovers(folders: Iterable[Path]) -> None:
     """Remove temporary files of killed processes; no process may be writing to the folders."""
     for folder in folders:
         with suppress(OSError):
-            for path in filter(lambda path: LEFTOVER.fullmatch(path.name), folder.iterdir()):
-                path.unlink(missing_ok=True)
+            for path in folder.iterdir():
+                if LEFTOVER.fullmatch(path.name):
+                    path.unlink(missing_ok=True)
 
 
 # --- locks ------------------------------------------------------------------------------
@@ -129,9 +130,8 @@ def lock_folder(folder: Path) -> Iterator[None]:
         end = monotonic() + LOCK_TIMEOUT
         while _lock(handle, exclusive=True) is False:
             if monotonic() > end:
-                raise InputError(
-                    folder, "another run is writing here", f"wait for it, or {OUT_HINT}"
-                )
+                hint = f"wait for it, or {OUT_HINT}"
+                raise InputError(folder, "another run is writing here", hint)
             sleep(LOCK_TIMEOUT / 50)
         remove_leftovers([folder])
         yield

@@ -49,7 +49,8 @@ def tune_threshold(evaluation: Evaluation, name: str) -> ThresholdChoice:
         ).headline
         for threshold in (contender.threshold, tuned.threshold)
     )
-    held_out = {} if contender.earlier_threshold or len(scores.groups) < 2 else scores.headline
+    is_held_out = contender.earlier_threshold is None and len(scores.groups) > 1
+    held_out = scores.headline if is_held_out else {}
     return ThresholdChoice(contender, tuned, scores.headline["images"], default, chosen, held_out)
 
 

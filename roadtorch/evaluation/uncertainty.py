@@ -40,7 +40,7 @@ def sample_weights(groups: Sequence[str], generator: torch.Generator) -> Tensor:
     weights = torch.ones(1 + REPLICATES, len(groups), dtype=torch.float64)
     for group in sorted(set(groups)):
         members = torch.tensor([name == group for name in groups])
-        draws = bootstrap_weights(int(members.sum()), generator)
+        draws = bootstrap_weights(int(members.sum()), generator, REPLICATES)
         weights[1:, members] = draws.to(torch.float64)
     return weights
 
@@ -104,8 +104,7 @@ def bootstrap(
     groups = [tally.table([group]) for group in scores.counted_groups]
     thresholds = [scores.thresholds[group] for group in scores.counted_groups]
     generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
-    counts = [bootstrap_weights(len(group.names), generator) for group in groups]
-    weights = [torch.cat([torch.ones_like(rows[:1]), rows]) for rows in counts]  # all images first
+    weights = [sample_weights(group.groups, generator) for group in groups]  # all images first
     measures = [m for m in measures if m.interval and m.key in scores.headline]
     coarse = _mean_over_groups(groups, thresholds, weights, measures)
     shifts = {m.key: m.get(scores.headline) - float(coarse[m.key][0]) for m in measures}

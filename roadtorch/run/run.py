@@ -104,6 +104,7 @@ class Run:
         state = _file_state(source)
         try:
             with stop_on_signals() as stop, output.open() as writers:
+                # Shared by no other source: it remembers the frames.
                 temporal_filter = TemporalFilter(TemporalFilterSettings()) if smoothing else None
                 spread = partial(self.workers.map, on_crash=crashed_evidence, live=source.live)
                 steps = (temporal_filter, output.cues, stop, spread)

@@ -116,7 +116,7 @@ def make_recipe(training: Training, source: Sequence[Path] = (), corrected: int 
     """
     if corrected and not isinstance(training, ImageTraining):
         message = f"are for trainings of the kind {ImageTraining.name}"
-        raise ConfigError("--masks, --corrections", message, "leave them out, or --config")
+        raise ConfigError("--masks, --corrections", message, "give --config masks or corrections")
     if isinstance(training, SelfTraining):
         return SelfTrainingRecipe(training, source)
     if source:

@@ -42,10 +42,9 @@ Renderer = Callable[[Detection], np.ndarray]
 class VideoWriter:
     """A video that is written frame by frame, and renamed to its path when it is closed.
 
-    path: of the MP4 file. draw: returns the pixels of a detection. rate: declared frames per
-    second. Time stamps start at 0; gaps longer than ``MAX_GAP`` are cut, with a
-    warning. Frames get the size of the first one, with odd sides padded by repeating the last row
-    or column. One thread encodes, so that the bytes do not depend on the number of cores.
+    path: of the MP4 file. draw: returns the pixels of a detection. rate: declared frames a second.
+    Time stamps start at 0; gaps above ``MAX_GAP`` are cut, with a warning. Frames get the size of
+    the first, odd sides repeat their last pixels. One thread encodes: bytes do not depend on cores.
     """
 
     def __init__(self, path: Path, draw: Renderer, rate: float | None = None) -> None:
