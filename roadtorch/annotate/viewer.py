@@ -62,9 +62,6 @@ class Viewer:
             self._changed.notify_all()
         return {}
 
-    def close(self) -> None:
-        """Do nothing at the end of a source: the page stays open for the next one."""
-
     def _frame(self, request: Request) -> Response:
         """Wait for a frame newer than ``after`` and send it as JPEG; 204: none yet, 410: ended."""
         after = request.query_params.get("after", "")

@@ -142,8 +142,10 @@ def infer_command(
     detector, camera = choice.load(camera_file, threshold, options.device)
     effective = to_toml(detector.name, detector.settings)
     images, sources = find_inputs(inputs, selection, out)
-    selected = Inputs(selection.select_images(images), sources)
     kinds = DEFAULT_IMAGE_KINDS if save is None else save
+    if sources and set(kinds) <= set(FOOTAGE_KINDS):  # nothing would be written of images
+        images = []
+    selected = Inputs(selection.select_images(images), sources)
     has_grid = not set(kinds).isdisjoint(GRID_KINDS)
     refuse_unused(
         context,

@@ -72,7 +72,7 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
         name=name,
         origin=strip_password(str(path)),
         items=frames,
-        rate=None if rate is None else float(rate),
+        rate=None if rate is None else float(rate) / selection.every,
         path=path if isinstance(path, Path) else None,
     )
 

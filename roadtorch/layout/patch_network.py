@@ -76,15 +76,15 @@ class Topology(Settings):
             if side < 1:
                 message = f"leaves an empty or odd-sized map after size{stage}"
                 hint = "the usual sizes are 7, 7, 7 for a patch of 32"
-                raise ConfigError("topology", message, hint)
+                raise ConfigError("network.topology", message, hint)
         if side != 1:
             fits = self.size3 + side - 1
             hint = "give a smaller patch, larger kernels or one more subsampling"
             hint = f"size3={fits} would end in 1×1" if fits <= MAX_KERNEL else hint
-            raise ConfigError("topology", f"ends in {side}×{side}, not in 1×1", hint)
+            raise ConfigError("network.topology", f"ends in {side}×{side}, not in 1×1", hint)
         if self.connections > self.k1:
             message = f"is {self.connections}, but the first layer has {self.k1} kernels"
-            raise ConfigError("topology.connections", message, f"give 0 to {self.k1}")
+            raise ConfigError("network.topology.connections", message, f"give 0 to {self.k1}")
         return self
 
     @property

@@ -80,6 +80,7 @@ def test_frames_are_what_the_library_says(call: Call, drive: Path, out: Path) ->
     assert np.array_equal(mask > 0, detection.mask.numpy())
     pixels = read_frame_pixels(out / "drive.mask.mp4")[1][..., 0] > 127
     assert (pixels == detection.mask.numpy()).mean() > 0.95
+    assert video_source(drive, "d", Selection(every=5)).rate == 2
 
 
 def test_neither_the_number_of_jobs_nor_the_source_changes_a_byte(
@@ -161,8 +162,11 @@ def test_a_done_bag_is_skipped_until_it_or_its_results_change(
 
 
 def test_a_video_gives_a_bag_with_its_seconds(run: Call, out: Path) -> None:
-    assert run("--save", "bag", "--limit", 3).exit_code == 0
+    Image.new("RGB", (32, 32)).save(photo := out.parent / "photo.png")  # images give no bag
 
+    assert run(photo, "--save", "bag", "--limit", 3).exit_code == 0
+
+    assert "photo.png" not in read_index_rows(out)
     messages = [entry for entry in read_bag(out / "drive.road") if entry.topic.endswith("/mask")]
     assert [entry.stamp for entry in messages] == pytest.approx([0, 1e8, 2e8], abs=1)
     assert messages[-1].message.header.frame_id == "camera"

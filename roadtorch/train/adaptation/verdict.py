@@ -152,12 +152,15 @@ def no_verdict(reason: str, frames: int) -> Verdict:
 
 def decide_verdict(judged: Sequence[MaskCounts]) -> Verdict:
     """Decide by both halves' frames; the interval is a bootstrap of runs of ``RUN_LENGTH``."""
-    counts = [torch.cat(halves) for halves in zip(*judged, strict=True)]
-    frames = len(counts[0])
+    frames = sum(len(half.initial) for half in judged)
     if frames < MIN_JUDGED:
         return no_verdict(f"{frames} frames are too few to decide", frames)
     generator = torch.Generator().manual_seed(VERDICT_SEED)
-    blocks = [torch.stack([part.sum(0) for part in rows.split(RUN_LENGTH)]) for rows in counts]
+    runs = [
+        [part.sum(0) for rows in halves for part in rows.split(RUN_LENGTH)]
+        for halves in zip(*judged, strict=True)
+    ]
+    blocks = [torch.stack(sums) for sums in runs]
     weights = sample_weights(("",) * len(blocks[0]), generator)
     scores = [pooled_f(sums, weights) for sums in blocks]
     initial, adapted, averaged = (float(values[0]) for values in scores)
