@@ -25,7 +25,7 @@ from roadtorch.base.image import to_pixels
 from roadtorch.evaluation.report.montage import TILE_WIDTH, apply_colormap, caption_tile, cue_tiles
 from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout import weights
-from roadtorch.layout.image_network import count_upper_rows, resize_rows
+from roadtorch.layout.network_cues import count_upper_rows, resize_rows
 
 CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg")
 """A motorway beside trees, a street, a bonnet in view, a track: one of each recording."""
@@ -39,11 +39,11 @@ FAILED = ("walkrobot_jp_005", "offroad_fr_13", "vineyard_it_013", "pothole8_004"
 READ = ("rseg_0103", "sc_0123", "aura_0002", "walkrobot_jp_009", "pothole8_004", "mcnight_0007")
 """A country road, a track; a plaza, a pavement; a road half in shadow, a tunnel at night."""
 
-DRIVE, DRIVE_SECONDS, DRIVE_WIDTH = "california_tree_shadows.mp4", (3.0, 6.0), 320
+DRIVE, DRIVE_SECONDS, DRIVE_WIDTH = "california_tree_shadows.mp4", (3.0, 6.0), 288
 
-EVERY, DURATION, COLOURS = 2, 133, 64  # of 15 frames a second; milliseconds; of the palette
+EVERY, DURATION, COLOURS = 3, 200, 32  # of 15 frames a second; milliseconds; of the palette
 
-QUALITY = 85  # of JPEG
+QUALITY = 70  # of JPEG
 OUT = Path(__file__).resolve().parents[1] / "docs/pictures"
 STREET_IMAGES = OUT.parents[1] / "train/street_images.csv"
 

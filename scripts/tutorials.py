@@ -157,7 +157,7 @@ def execute_all(pipe: Any) -> None:
             try:
                 exec(compile(code, "tutorial", "exec"), names)
                 if code.splitlines()[-1].startswith("detection "):
-                    image = names["detection"]._repr_png_()
+                    image = names["detection"]._repr_jpeg_()
             except Exception:
                 traceback.print_exc(file=output)
         pipe.send((output.getvalue().rstrip("\n").splitlines(), image))
@@ -195,7 +195,7 @@ def shortened(expected: Sequence[str], actual: Sequence[str]) -> list[str]:
 def run_page(page: str, images: list[bytes]) -> str:
     """Return a page with the output that it has now, executed in an empty folder.
 
-    images: gets what each block of Python shows, as PNG; empty for nothing.
+    images: gets what each block of Python shows, as JPEG; empty for nothing.
     """
     cwd, context, printed = Path.cwd(), get_context("fork"), list[str]()
     tolerance = TRAINED_TOLERANCE if TRAINING.search(page) else 0.0

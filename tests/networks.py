@@ -11,7 +11,7 @@ from roadtorch.layout.backbone_network import (
     BackboneNetworkSettings,
     Conv2dSame,
 )
-from roadtorch.layout.image_network import EGO_OUTPUT, ImageNetwork, ImageNetworkSettings
+from roadtorch.layout.network_cues import EGO_OUTPUT
 from roadtorch.layout.weights import LayoutNetwork, save_network
 from tests.draws import seeded_generator
 
@@ -19,7 +19,6 @@ CRISP = 40.0
 """Log odds by which the potential of the ego car rises from row to row where it begins."""
 
 
-SMALL = ImageNetworkSettings(height=48, width=64, narrow=8, wide=8)
 SMALL_BACKBONE = BackboneNetworkSettings(
     height=32, width=64, narrow=8, wide=8, heads=1, backbone="none"
 )
@@ -44,19 +43,18 @@ def write_ego_network(path: Path, bottom: float) -> Path:
     ``bottom`` is below 0.45; 0 is no ego car. All classes of the layout are equally likely, and
     road has probability 0.5, whatever the image.
     """
-    network = ImageNetwork(SMALL)
-    for name, values in network.named_parameters():
-        if values.ndim == 4 or name.endswith("bias"):  # the normalisation stays
-            values.zero_()
+    network = BackboneNetwork(SMALL_BACKBONE.model_copy(update={"height": 192})).eval()
     weights = dict(network.named_parameters())
-    weights["first.0.weight"][0, 4, 1, 1] = 1  # the second plane of the place: how far down
-    weights["to_half.0.weight"][0, 0, 1, 1] = 1
-    weights["heads.weight"][EGO_OUTPUT, 0] = 1
-    depth = network(torch.zeros(1, 3, 48, 64))[0, EGO_OUTPUT, :, 0]
+    for values in weights.values():
+        values.zero_()
+    weights["heads.0.position.weight"][0, 1] = 1  # the second plane of the place: how far down
+    weights["heads.0.narrowed.weight"][0, 0] = 1
+    weights["heads.0.scores.weight"][EGO_OUTPUT, 0] = 1
+    depth = network(torch.zeros(1, 3, 192, 64))[0, EGO_OUTPUT, :, 0]
     first = round((1 - bottom) * len(depth))
     begins = torch.cat([depth, depth[-1:] + 1])[first - 1 : first + 1].mean()
-    weights["heads.weight"][EGO_OUTPUT, 0] = CRISP
-    weights["heads.bias"][EGO_OUTPUT] = -CRISP * begins
+    weights["heads.0.scores.weight"][EGO_OUTPUT, 0] = CRISP
+    weights["heads.0.scores.bias"][EGO_OUTPUT] = -CRISP * begins
     save_network(path, network, {})
     return path
 

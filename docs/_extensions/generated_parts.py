@@ -19,8 +19,9 @@ names, since a site has no repository beside it.
 import importlib
 import inspect
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 from sphinx.application import Sphinx
@@ -88,7 +89,9 @@ def settings(modules: Sequence[str]) -> str:
     for name in modules:
         for entry in importlib.import_module(f"roadtorch.detectors.{name}").ENTRIES:
             lines += [f"(settings-{entry.name.replace(':', '-')})=", f"## `{entry.name}`", ""]
-            lines += [escaped(entry.summary) + ".", "", *settings_list(entry.settings)]
+            defaults = entry.make_settings({}).model_dump(mode="json")
+            rows = settings_list(entry.settings, defaults=defaults)
+            lines += [escaped(entry.summary) + ".", "", *rows]
     return "\n".join(lines)
 
 
@@ -122,13 +125,20 @@ def measures(_: Sequence[str]) -> str:
     return "\n".join(["| key | meaning |", "|---|---|", *rows])
 
 
-def settings_list(kind: type[Settings], before: str = "", leave_out: str = "-") -> list[str]:
+def settings_list(
+    kind: type[Settings],
+    before: str = "",
+    leave_out: str = "-",
+    defaults: Mapping[str, Any] | None = None,
+) -> list[str]:
     """Return a list of the settings of a kind: name, type, default, constraints, meaning.
 
-    before: prefix of the names. leave_out: prefix of names to leave out.
+    before: prefix of the names. leave_out: prefix of names to leave out. defaults: as in
+    ``setting_rows``.
     """
     lines: list[str] = []
-    for key, of_type, default, allowed, meaning in setting_rows(kind.model_json_schema()):
+    rows = setting_rows(kind.model_json_schema(), defaults=defaults)
+    for key, of_type, default, allowed, meaning in rows:
         if not key.startswith(leave_out):
             shown = f"default {code(default)}" if default else "no default"
             facts = ", ".join(filter(None, (escaped(of_type), shown, escaped(allowed))))
@@ -192,7 +202,7 @@ def browser(_: Sequence[str]) -> str:
     return '<a href="browser/index.html">Open the page</a>.'
 
 
-CARDS = ("layout-free", "backbone-free", "rendered-free", "cnn-7", "cnn-7-paper")
+CARDS = ("backbone-free", "rendered-free", "scratch-free", "cnn-7", "cnn-7-paper")
 
 PAGES = {
     "CONTRIBUTING.md": "/contributing.md",

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-PNG = re.compile('(?<="image/png": ")[^"]+')
+JPEG = re.compile('(?<="image/jpeg": ")[^"]+')
 LEVELS = 1
 """Mean difference of two images' levels up to which they are the same: roundings."""
 
@@ -17,10 +17,10 @@ LEVELS = 1
 def same_notebook(expected: str, actual: str) -> bool:
     """Return whether two notebooks have the same text, and images up to roundings."""
     images = [
-        [cv2.imdecode(np.frombuffer(b64decode(png), np.uint8), 1) for png in PNG.findall(text)]
+        [cv2.imdecode(np.frombuffer(b64decode(data), np.uint8), 1) for data in JPEG.findall(text)]
         for text in (expected, actual)
     ]
-    return PNG.sub("", expected) == PNG.sub("", actual) and all(
+    return JPEG.sub("", expected) == JPEG.sub("", actual) and all(
         a.shape == b.shape and cv2.absdiff(a, b).mean() < LEVELS
         for a, b in zip(*images, strict=True)
     )
@@ -34,7 +34,7 @@ def as_notebook(page: str, block: re.Pattern[str], images: Sequence[bytes]) -> s
     Args:
         page: Markdown with what its blocks print.
         block: pattern of a block, its kind (``console``, ``python`` or ``text``) and its text.
-        images: PNG that each block ``python`` shows; empty where it shows none.
+        images: JPEG that each block ``python`` shows; empty where it shows none.
     """
     first, *pieces = block.split(page.partition("```{toctree}")[0])
     cells: list[dict[str, Any]] = [{"cell_type": "markdown", "metadata": {}, "source": first}]
@@ -48,7 +48,7 @@ def as_notebook(page: str, block: re.Pattern[str], images: Sequence[bytes]) -> s
             source = "\n!{sys.executable} -m ".join(["import sys", *commands])
             cells.append(cell | {"source": source, "outputs": []})
         elif kind == "python":
-            data = {"image/png": b64encode(next(left)).decode()}
+            data = {"image/jpeg": b64encode(next(left)).decode()}
             shown = {"output_type": "display_data", "data": data, "metadata": {}}
             cells.append(cell | {"source": text.strip(), "outputs": [shown] * any(data.values())})
         if kind != "python":

@@ -364,14 +364,14 @@ def _to_bgr(pixels: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
 
 
-def png_bytes(pixels: np.ndarray, longest: int) -> bytes:
-    """Encode RGB pixels, uint8 (H, W, 3), as PNG, scaled down to sides of ``longest`` at most."""
+def shrink_pixels(pixels: np.ndarray, longest: int) -> np.ndarray:
+    """Scale pixels, uint8 (H, W, 3), down to sides of ``longest`` at most."""
     height, width = pixels.shape[:2]
     scale = longest / max(height, width)
-    if scale < 1:
-        size = max(1, round(width * scale)), max(1, round(height * scale))
-        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    return bytes(_encode(".png", _to_bgr(pixels)))
+    if scale >= 1:
+        return pixels
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
 
 
 def jpeg_bytes(pixels: np.ndarray, quality: int = 95) -> bytes:

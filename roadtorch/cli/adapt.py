@@ -77,9 +77,8 @@ def adapt_command(
     adaptation = adapt(footage, out, training, limit, quiet)
     outcome, verdict, frames = adaptation.outcome, str(adaptation.verdict), adaptation.frames
     if outcome.interrupted:
-        signal = outcome.interrupted.name
-        text = f"roadtorch: stopped by {signal}; run the same command again to resume"
-        click.echo(text, err=True)
+        text = f"stopped by {outcome.interrupted.name}; run the same command again to resume"
+        click.echo(f"roadtorch: {text}", err=True)
         context.exit(128 + outcome.interrupted)
     request = TrainingRequest(frames.glob(), out, quiet=quiet)
     camera = ["--camera", str(adaptation.camera)] if adaptation.camera else []

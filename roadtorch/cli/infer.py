@@ -143,9 +143,8 @@ def infer_command(
     effective = to_toml(detector.name, detector.settings)
     images, sources = find_inputs(inputs, selection, out)
     kinds = DEFAULT_IMAGE_KINDS if save is None else save
-    if sources and set(kinds) <= set(FOOTAGE_KINDS):  # nothing would be written of images
-        images = []
-    selected = Inputs(selection.select_images(images), sources)
+    without_images = sources and set(kinds) <= set(FOOTAGE_KINDS)  # nothing is written of them
+    selected = Inputs([] if without_images else selection.select_images(images), sources)
     has_grid = not set(kinds).isdisjoint(GRID_KINDS)
     refuse_unused(
         context,

@@ -121,9 +121,8 @@ def train_command(
     )
     outcome = train(training, request)
     if outcome.interrupted:
-        signal = outcome.interrupted.name
-        text = f"roadtorch: stopped by {signal}; run the same command again to resume"
-        click.echo(text, err=True)
+        text = f"stopped by {outcome.interrupted.name}; run the same command again to resume"
+        click.echo(f"roadtorch: {text}", err=True)
         context.exit(128 + outcome.interrupted)
     if not quiet:
         skipped = f"; {outcome.skipped} skipped, see images.csv" if outcome.skipped else ""

@@ -14,10 +14,17 @@ from torch import Tensor
 from roadtorch.base.atomic import atomic_write
 from roadtorch.base.compute import one_torch_thread
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.base.image import overlay_pixels, png_bytes, write_map, write_mask, write_pixels
+from roadtorch.base.image import (
+    jpeg_bytes,
+    overlay_pixels,
+    shrink_pixels,
+    write_map,
+    write_mask,
+    write_pixels,
+)
 from roadtorch.imaging.resize import resize_to_image
 
-NOTEBOOK_SIDE = 960  # pixels of the longer side in notebooks; ours: the width of a page
+NOTEBOOK_SIDE, NOTEBOOK_QUALITY = 960, 85  # ours: pixels of a page's width; of JPEG
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +183,8 @@ class Detection:
         doubt = f" ({self.doubt})" if self.doubt else ""
         return f"<Detection {', '.join(filter(None, parts))}{doubt}>"
 
-    def _repr_png_(self) -> bytes | None:
-        """Return the overlay as PNG for notebooks."""
-        return None if self.image is None else png_bytes(self.overlay(), NOTEBOOK_SIDE)
+    def _repr_jpeg_(self) -> bytes | None:
+        """Return the overlay as JPEG for notebooks."""
+        if self.image is None:
+            return None
+        return jpeg_bytes(shrink_pixels(self.overlay(), NOTEBOOK_SIDE), NOTEBOOK_QUALITY)

@@ -20,27 +20,25 @@ from roadtorch.detectors.entry import (
 )
 from roadtorch.detectors.texture import texture_cues
 from roadtorch.imaging.resize import WorkingSize, round_to_pixels, side_length
-from roadtorch.imaging.segments import Segments, paint_segments, segment_mean
+from roadtorch.imaging.segments import paint_segments
 from roadtorch.imaging.slic import Superpixels
-from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, NetworkWeight, opinion_pool
-from roadtorch.layout.image_network import RoadFusion, compute_cues
+from roadtorch.layout.backbone_network import BackboneNetwork
+from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES
 from roadtorch.layout.labeller import HorizonSettings, decide_layout, label_segments
+from roadtorch.layout.network_cues import RoadFusion, compute_cues
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import (
     DEFAULT_WEIGHTS,
     WeightsFile,
-    WholeImageNetwork,
     load_configured_network,
     load_image_network,
 )
 from roadtorch.road.appearance import fuse_appearance
 from roadtorch.road.bayes import (
     PRIORS,
-    fused_log_odds,
     likelihood_product,
     log_odds,
     road_position_prior,
-    seed_log_odds,
     segment_road,
 )
 from roadtorch.road.ego import any_pixel, extrapolate_over_ego, find_ego_car
@@ -48,7 +46,6 @@ from roadtorch.road.outlines import Outlines
 from roadtorch.road.seed_area import (
     distance_likelihood,
     find_seed_area,
-    find_seed_segments,
     seed_distance,
     seed_rectangle,
     segments_inside,
@@ -128,31 +125,6 @@ class UntrainedFusionSettings(WorkingSettings):
     labeller: HorizonSettings = HorizonSettings()
 
 
-class LearnedRoad(Settings):
-    """Weights of the log odds of the network's road."""
-
-    weight: float = Field(
-        default=1.0, ge=0, le=10, description="weight of the network's road in each superpixel"
-    )
-    detail: float = Field(
-        default=0.5, ge=0, le=10, description="weight of the network's road in each pixel"
-    )
-
-
-class ScratchFusionSettings(UntrainedFusionSettings):
-    """Settings of naive Bayes with a network trained from random weights."""
-
-    threshold: Threshold = 0.5
-    working: WorkingSize = WorkingSize(pixels=240 * 180)  # scores within .001 of 320x240
-    outlines: Outlines = "guided"
-    superpixels: Superpixels = Superpixels(pixels=144)  # as many as at 320x240
-    weights: WeightsFile = WeightsFile()
-    layout_weight: NetworkWeight = 0.8
-    learned: LearnedRoad = LearnedRoad()
-    calibration: RoadCalibration = RoadCalibration(centre=-0.75)
-    trust: TrustSettings = TrustSettings()
-
-
 LocationPrior = Annotated[
     Literal["uniform", "rows", "triangle"], Field(description="location prior of the road (eq. 4)")
 ]
@@ -183,32 +155,37 @@ class BayesFusionSettings(PaperFusionSettings):
     prior: LocationPrior = "rows"
 
 
-SCRATCH_WEIGHTS = "layout-free"  # of a network trained from random weights
-SCRATCH_RIDGE = 3e-3  # of the texture, without a network or with that one; chosen on CamVid. Ours
-
-
 @use_inference_mode
 def untrained_fusion(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Tensor]:
     """Compute the cues of an image (3, H, W) by naive Bayes without a network. Ours, after P2."""
     image, segments, layout = label_segments(image, settings.labeller, settings.superpixels)
-    labels = segments.labels
+    labels, options = segments.labels, TextureSettings(ridge=3e-3)  # chosen on CamVid. Ours
     seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
-    distance, texture, cues = seed_likelihoods(image, segments, seed, segments_inside(labels, seed))
+    fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, options, Saturation())
+    texture = uniformity_likelihood(uniformity, options.midpoint)
+    distance = distance_likelihood(seed_distance(segments, segments_inside(labels, seed)))
     road = segment_road(segments, layout[:, HORIZONTAL], distance, texture)
+    position = road_position_prior(segments.row, segments.column)
     return {
         "likelihood": paint_segments(road, labels),
         "layout": paint_segments(layout.T, labels),
         "layout_labels": paint_segments(decide_layout(layout), labels),
         "seed_area": seed,
-        **cues,
+        "texture": paint_segments(texture, labels),
+        "uniformity": paint_segments(uniformity, labels),
+        "fused_plane": fused,
+        "saturated": clipped,
+        "distance": paint_segments(distance, labels),
+        "position": paint_segments(position, labels),
+        "segments": labels,
     }
 
 
 class Fusion(nn.Module):
     """Road of one or two networks, fused with its appearance in the image, calibrated.
 
-    P2's texture and our distance from the seed area and position, which ``fusion:scratch`` uses,
-    gain too little for their time here (docs/how/layout_texture.md).
+    P2's texture and our distance from the seed area and position, which ``fusion:untrained`` uses,
+    gain too little for their time here (``train.cues`` at 0ee65af).
     """
 
     def __init__(self, settings: FusionSettings) -> None:
@@ -257,7 +234,7 @@ class Fusion(nn.Module):
 
 
 def average_views(
-    network: WholeImageNetwork, image: Tensor, crops: Sequence[float], fuse: RoadFusion
+    network: BackboneNetwork, image: Tensor, crops: Sequence[float], fuse: RoadFusion
 ) -> Mapping[str, Tensor]:
     """Average ``compute_cues`` of an image (…, 3, H, W) and of its lower crops."""
     total, height = compute_cues(network, image, fuse), image.shape[-2]
@@ -274,79 +251,6 @@ def average_views(
 def calibrated_likelihood(odds: Tensor, calibration: RoadCalibration) -> Tensor:
     """Convert log odds of any shape to calibrated likelihoods in [0, 1]."""
     return ((odds - calibration.centre) / calibration.temperature).sigmoid()
-
-
-class ScratchFusion(nn.Module):
-    """Naive Bayes of cues of the image and a network's road and layout.
-
-    The network's ego car is filled from the ground above before anything is measured. The seed area
-    is where position, layout and network agree best on road.
-    """
-
-    def __init__(self, settings: ScratchFusionSettings) -> None:
-        super().__init__()
-        self.settings = settings
-        self.network = load_image_network(settings.weights, SCRATCH_WEIGHTS)
-
-    @use_inference_mode
-    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
-        """Compute the cues of an image (3, H, W) in [0, 1]."""
-        settings = self.settings
-        maps = compute_cues(self.network, image)
-        ego = find_ego_car(maps["ego"])
-        if any_pixel(ego):
-            stack = torch.cat([image, maps["layout"], maps["road"][None]])
-            image, layout, road = extrapolate_over_ego(stack, ego).split([3, NUM_CLASSES, 1])
-            maps = {"layout": layout, "road": road[0]}
-        image, segments, labelled = label_segments(image, settings.labeller, settings.superpixels)
-        labels = segments.labels
-        means = segment_mean([*maps["layout"], maps["road"]], labels, segments.pixels)
-        layout = opinion_pool(labelled.T, means[:NUM_CLASSES], settings.layout_weight)
-        network_odds = log_odds(means[NUM_CLASSES])
-        evidence = network_odds + seed_log_odds(segments, layout[HORIZONTAL])
-        fraction = settings.seed_area.fraction
-        sources = find_seed_segments(evidence, segments.row, segments.size, fraction)
-        seed = sources[labels]
-        distance, texture, cues = seed_likelihoods(image, segments, seed, sources.nonzero()[:, 0])
-        further = settings.learned.weight * network_odds
-        road = segment_road(segments, layout[HORIZONTAL], distance, texture, further)
-        roads = [paint_segments(road, labels), maps["road"]]
-        odds = fused_log_odds(roads, [1, settings.learned.detail])
-        painted, weight = paint_segments(labelled.T, labels), settings.layout_weight
-        return {
-            "likelihood": calibrated_likelihood(odds, settings.calibration),
-            "layout": opinion_pool(painted, maps["layout"], weight),
-            "layout_labels": paint_segments(decide_layout(layout.T), labels),
-            "learned_road": maps["road"],
-            "seed_area": seed,
-            "ego": ego,
-            **cues,
-        }
-
-    judge = Fusion.judge
-
-
-def seed_likelihoods(
-    image: Tensor, segments: Segments, seed: Tensor, sources: Tensor
-) -> tuple[Tensor, Tensor, Mapping[str, Tensor]]:
-    """Compute likelihoods (n,) by distance from the seed area and by uniformity, and their cues.
-
-    image: (3, H, W). seed: seed area, bool (H, W). sources: labels of its segments, (k,).
-    """
-    labels, settings = segments.labels, TextureSettings(ridge=SCRATCH_RIDGE)
-    fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, Saturation())
-    texture = uniformity_likelihood(uniformity, settings.midpoint)
-    distance = distance_likelihood(seed_distance(segments, sources))
-    cues = {
-        "texture": paint_segments(texture, labels),
-        "uniformity": paint_segments(uniformity, labels),
-        "fused_plane": fused,
-        "saturated": clipped,
-        "distance": paint_segments(distance, labels),
-        "position": paint_segments(road_position_prior(segments.row, segments.column), labels),
-        "segments": labels,
-    }
-    return distance, texture, cues
 
 
 class PaperFusion(nn.Module):
@@ -415,9 +319,10 @@ ENTRIES = (
     ),
     Entry(
         "fusion:scratch",
-        "layout, texture and more fused with a network trained without any human label",
-        ScratchFusionSettings,
-        ScratchFusion,
+        "fusion with a network trained from random weights: no human label of any kind",
+        FusionSettings,
+        Fusion,
+        defaults={"weights": {"file": "scratch-free"}},
     ),
     Entry(
         "fusion:untrained",

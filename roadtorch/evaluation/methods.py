@@ -33,7 +33,6 @@ from roadtorch.detectors.detector import Detector
 from roadtorch.detectors.entry import DetectorSettings
 from roadtorch.imaging.resize import spatial_size
 from roadtorch.layout.backbone_network import BackboneNetwork
-from roadtorch.layout.image_network import ImageNetwork
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.runtimes import REFERENCE
 from roadtorch.layout.weights import load_network
@@ -44,7 +43,6 @@ MEAN_PRIOR = "prior:mean"  # not in the catalogue, as it needs the set
 MEAN_THRESHOLD = 0.5  # the pixel is road in at least half of the images
 
 DETECTOR_BY_NETWORK = {
-    ImageNetwork.kind: "fusion",
     BackboneNetwork.kind: "fusion",
     PatchNetwork.kind: "layout:cnn-7",
 }

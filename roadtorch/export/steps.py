@@ -21,7 +21,6 @@ from roadtorch.imaging.resize import (
     spatial_size,
     triangle_weights,
 )
-from roadtorch.layout.patch_network import MIN_DEVIATION, NormalisedImage, divide_by_deviation
 from roadtorch.road.appearance import solve
 from roadtorch.road.ego import MAX_STRIP, any_pixel, extrapolate_over_ego
 from roadtorch.road.trust import (
@@ -82,12 +81,6 @@ def brighten_batch(image: Tensor, exposure: Exposure) -> Tensor:
     return torch.where(power == 1, image, image.clamp(min=MIN_VALUE) ** power)
 
 
-def divide_batch_by_deviation(centred: Tensor) -> NormalisedImage:
-    """Divide each image of a batch by its standard deviation; the gain is NaN."""
-    deviation = centred.square().mean((-3, -2, -1), keepdim=True).sqrt()
-    return NormalisedImage(centred / deviation.clamp(min=MIN_DEVIATION), math.nan)
-
-
 def solve_by_products(matrix: Tensor, vector: Tensor) -> Tensor:
     """Solve A x = v for symmetric positive definite matrices, for which ONNX has no operator.
 
@@ -133,7 +126,6 @@ TWINS: Twins = {
     resize_maps: resize_by_matrices,
     resize_to_image: select_nearest,
     brighten: brighten_batch,
-    divide_by_deviation: divide_batch_by_deviation,
     solve: solve_by_products,
     any_pixel: lambda mask: True,  # a graph cannot branch
     extrapolate_over_ego: mirror_down,

@@ -1,4 +1,4 @@
-"""Network on an ImageNet backbone: layout, road and ego car of whole images. Ours.
+"""Network on an EfficientNet backbone: layout, road and ego car of whole images. Ours.
 
 The backbone is EfficientNet-Lite0 or Lite2 (Tan and Le, "EfficientNet", ICML 2019; the "lite"
 variants of their repository, without squeeze-and-excitation) but for its last stage, with weights
@@ -10,7 +10,7 @@ weights, are averaged.
 
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import torch
 from pydantic import Field
@@ -19,8 +19,7 @@ from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
 from roadtorch.imaging.resize import spatial_size
-from roadtorch.layout.image_network import NUM_OUTPUTS, UpperRows, coordinate_planes
-from roadtorch.layout.patch_network import Normalisation
+from roadtorch.layout.classes import NUM_CLASSES
 
 
 class Stage(NamedTuple):
@@ -68,6 +67,20 @@ IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Mean and standard deviation of ImageNet's images; they normalise the backbone's input."""
 
 
+NUM_OUTPUTS = NUM_CLASSES + 2
+"""Scores: of the layout's classes, of road and of the ego car."""
+
+UpperRows = Annotated[
+    float,
+    Field(
+        ge=0,
+        le=0.8,
+        description="fraction of the rows that shows the upper three tenths of the image, which "
+        "hardly show road; 0: all rows are alike",
+    ),
+]
+
+
 class BackboneNetworkSettings(Settings):
     """Working size and heads of a backbone network."""
 
@@ -84,7 +97,6 @@ class BackboneNetworkSettings(Settings):
         "from random weights",
     )
     upper_rows: UpperRows = 0.0
-    normalisation: Normalisation = Normalisation(kind="none")
 
 
 class Conv2dSame(nn.Conv2d):
@@ -202,6 +214,18 @@ class Head(nn.Module):
         fine = self.fine(features[0])
         fine = F.relu(fine + _resize(self.narrowed(maps), spatial_size(fine)))
         return self.scores(fine + F.relu(self.last(fine)))
+
+
+def coordinate_planes(pixels: Tensor) -> Tensor:
+    """Return 2|x| - 1 and y, for x and y in [-1, 1] across and down: shape (B, 2, H, W)."""
+    batch, _, height, width = pixels.shape
+    rows, columns = (
+        torch.linspace(1 / side - 1, 1 - 1 / side, side, dtype=pixels.dtype, device=pixels.device)
+        for side in (height, width)
+    )
+    sideways = (2 * columns.abs() - 1).expand(height, width)
+    down = rows[:, None].expand(height, width)
+    return torch.stack([sideways, down]).expand(batch, 2, height, width)
 
 
 def _resize(maps: Tensor, size: tuple[int, int]) -> Tensor:

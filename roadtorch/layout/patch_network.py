@@ -5,8 +5,7 @@ A patch network scores the square around a pixel as sky, vertical, horizontal: c
 potentials in [0, 1]. CNN-7 is the network that P2 selects, and the default here.
 """
 
-import math
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal
 
 import torch
 from pydantic import Field, model_validator
@@ -15,7 +14,6 @@ from torch.nn import functional as F
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.settings import Settings
-from roadtorch.base.twins import has_twin
 from roadtorch.imaging.color import Exposure, brighten, color_plane
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.classes import NUM_CLASSES
@@ -98,45 +96,23 @@ class Topology(Settings):
 FIXED_MEAN, FIXED_GAIN = 0.5, 4.0
 """Levels in [0, 1] become values in [-2, 2], near the unit variance that suits tanh."""
 
-MIN_DEVIATION = 0.02
-"""Least standard deviation that an image is divided by, so that flat images stay flat."""
-
 
 class Normalisation(Settings):
     """Normalisation of an image before a network."""
 
-    kind: Literal["none", "fixed", "image", "brightened", "brightened image"] = Field(
+    kind: Literal["fixed", "brightened"] = Field(
         default="fixed",
-        description="none: levels unchanged; fixed: constant offset and gain; image: minus the "
-        "image's mean colour, divided by its standard deviation; brightened: exposure corrected "
-        "as for the labeller, then fixed; or exposure corrected, then image",
+        description="fixed: constant offset and gain; brightened: the exposure corrected first, as "
+        "for the labeller",
     )
     exposure: Exposure = Exposure()
 
 
-class NormalisedImage(NamedTuple):
-    """Normalised pixels (3, H, W), and the gain: the factor applied to differences."""
-
-    pixels: Tensor
-    gain: float
-
-
-def normalise(image: Tensor, normalisation: Normalisation) -> NormalisedImage:
+def normalise(image: Tensor, normalisation: Normalisation) -> Tensor:
     """Normalise an image (3, H, W) in [0, 1]. Ours; P2 says "RGB pixel values"."""
-    if normalisation.kind == "none":
-        return NormalisedImage(image, 1.0)
-    if normalisation.kind.startswith("brightened"):
+    if normalisation.kind == "brightened":
         image = brighten(image, normalisation.exposure)
-    if normalisation.kind.endswith("image"):
-        return divide_by_deviation(image - image.mean((-2, -1), keepdim=True))
-    return NormalisedImage((image - FIXED_MEAN) * FIXED_GAIN, FIXED_GAIN)
-
-
-@has_twin
-def divide_by_deviation(centred: Tensor) -> NormalisedImage:
-    """Divide an image (3, H, W) of mean 0 by its standard deviation, or ``MIN_DEVIATION``."""
-    gain = 1 / max(math.sqrt(centred.square().mean()), MIN_DEVIATION)
-    return NormalisedImage(centred * gain, gain)
+    return (image - FIXED_MEAN) * FIXED_GAIN
 
 
 # --- the network ---------------------------------------------------------------------------
@@ -203,7 +179,7 @@ class PatchNetwork(nn.Module):
     @torch.no_grad()
     def potentials(self, image: Tensor) -> Tensor:
         """Return potentials (3, H, W) for each pixel of an image (3, H, W) in [0, 1]."""
-        pixels = normalise(image, self.settings.normalisation).pixels
+        pixels = normalise(image, self.settings.normalisation)
         return self.forward_dense(pixels.to(self.first.weight)).to(image)
 
     def _input_planes(self, pixels: Tensor) -> Tensor:

@@ -22,8 +22,8 @@ from roadtorch.base.atomic import atomic_write, make_folder
 from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.errors import ConfigError, InputError, unknown_name_error
 from roadtorch.base.version import __version__
-from roadtorch.layout.image_network import scores_to_potentials
-from roadtorch.layout.weights import WholeImageNetwork, hash_tensors
+from roadtorch.layout.network_cues import scores_to_potentials
+from roadtorch.layout.weights import BackboneNetwork, hash_tensors
 
 REFERENCE = "torch"
 
@@ -70,7 +70,7 @@ def use_runtime(name: str, analysis: nn.Module, runtime: str) -> None:
     """
     if runtime == REFERENCE:
         return
-    networks = [part for part in analysis.modules() if isinstance(part, WholeImageNetwork)]
+    networks = [part for part in analysis.modules() if isinstance(part, BackboneNetwork)]
     if not networks:
         problem = f"has no whole-image network for {runtime}"
         raise ConfigError(name, problem, "leave the runtime out, or use fusion")
@@ -140,7 +140,7 @@ class ExportGraph(nn.Module):
         return tuple(maps[name] for name in self.outputs)
 
 
-def network_graph(network: WholeImageNetwork, pixels: Tensor) -> bytes:
+def network_graph(network: BackboneNetwork, pixels: Tensor) -> bytes:
     """Return the graph of a network for pixels of one shape, from the cache if it is there.
 
     A cached file is the graph's SHA-256 and the graph, and is used where they agree. Where it

@@ -20,7 +20,7 @@ from roadtorch.base.bounded import reason
 from roadtorch.base.errors import ConfigError, WeightsError, truncate_middle
 from roadtorch.base.settings import Settings, build_settings, list_shipped, resolve_name
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
-from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings, compute_cues
+from roadtorch.layout.network_cues import compute_cues
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 
 FORMAT_VERSION = 1
@@ -41,14 +41,10 @@ TERMS_ROW = re.compile(r"^\|\s*terms\s*\|\s*(.+?)\s*\|$", re.MULTILINE)
 
 NETWORKS = {
     PatchNetwork.kind: (PatchNetwork, PatchNetworkSettings),
-    ImageNetwork.kind: (ImageNetwork, ImageNetworkSettings),
     BackboneNetwork.kind: (BackboneNetwork, BackboneNetworkSettings),
 }
 
-WholeImageNetwork = ImageNetwork | BackboneNetwork
-"""Networks that predict layout, road and ego car of a whole image."""
-
-LayoutNetwork = PatchNetwork | WholeImageNetwork
+LayoutNetwork = PatchNetwork | BackboneNetwork
 
 
 def build_network(settings: Settings) -> LayoutNetwork:
@@ -105,11 +101,11 @@ def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
     return network.eval()
 
 
-def resize_network(network: WholeImageNetwork, height: int, width: int) -> WholeImageNetwork:
+def resize_network(network: BackboneNetwork, height: int, width: int) -> BackboneNetwork:
     """Return a copy of a convolutional network for images of another size."""
     resized = copy.deepcopy(network)
     settings = network.settings.model_copy(update={"height": height, "width": width})
-    resized.settings = settings  # pyright: ignore[reportAttributeAccessIssue]  # of its own kind
+    resized.settings = settings
     return resized
 
 
@@ -185,7 +181,7 @@ class _Header(BaseModel):
     """Header of a weight file; files of earlier versions have no hash."""
 
     format: int
-    kind: Literal["patches", "images", "images, backbone"]
+    kind: Literal["patches", "images, backbone"]
     settings: dict[str, Any]
     origin: dict[str, Any]
     sha256: str | None = None
@@ -200,7 +196,9 @@ def _read(path: Path) -> tuple[_Header, dict[str, Tensor]]:
             header = _Header.model_validate_json((file.metadata() or {}).get(HEADER_KEY, ""))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except ValidationError:
-        raise WeightsError(path, "has no roadtorch header", "use weights of roadtorch") from None
+        raise WeightsError(
+            path, "has no header of this version", "use weights of roadtorch"
+        ) from None
     except (SafetensorError, OSError, RuntimeError) as error:  # the last by torch, which maps it
         message = f"is damaged or not a weight file: {reason(error)}"
         raise WeightsError(path, message, "download or train it again") from None
@@ -234,20 +232,19 @@ class WeightsFile(Settings):
     file: str = Field(
         default="",
         description="path of weights written by roadtorch train, or name of shipped weights, of "
-        "this detector's kind of network; empty: the detector's default",
+        "this detector's kind of network; empty: the usual ones of that kind",
     )
 
 
-def load_configured_network(weights: WeightsFile, shipped: str, *kinds: type[NetworkT]) -> NetworkT:
+def load_configured_network(weights: WeightsFile, shipped: str, kind: type[NetworkT]) -> NetworkT:
     """Load the network of the configured weight file, or of the shipped weights of that name.
 
-    Raises WeightsError for a file that cannot be used, or that holds no network of these kinds.
+    Raises WeightsError for a file that cannot be used, or that holds no network of this kind.
     """
     path = weights_path(weights.file or shipped)
     network = load_network(path)
-    if not isinstance(network, kinds):
-        expected = " or ".join(dict.fromkeys(kind.title for kind in kinds))
-        message = f"holds {network.title}; this detector needs {expected}"
+    if not isinstance(network, kind):
+        message = f"holds {network.title}; this detector needs {kind.title}"
         detector = "layout:cnn-7" if network.kind == PatchNetwork.kind else "fusion"
         hint = f"use weights of such a network, or --detector {detector}"
         raise WeightsError(path, message, hint)
@@ -255,8 +252,8 @@ def load_configured_network(weights: WeightsFile, shipped: str, *kinds: type[Net
     return network
 
 
-def load_image_network(weights: WeightsFile, shipped: str) -> WholeImageNetwork:
+def load_image_network(weights: WeightsFile, shipped: str) -> BackboneNetwork:
     """Load a whole-image network as ``load_configured_network``; run it once, as that is slower."""
-    network = load_configured_network(weights, shipped, ImageNetwork, BackboneNetwork)
+    network = load_configured_network(weights, shipped, BackboneNetwork)
     compute_cues(network, torch.zeros(3, network.settings.height, network.settings.width))
     return network

@@ -1,4 +1,4 @@
-"""Naive Bayes fusion of learned cues and cues of the image, and location priors.
+"""P2's product, naive Bayes over an image's cues, and location priors.
 
 ``likelihood_product`` is P2's eq. 4: prior times likelihoods, without a model of the background.
 The rest is ours: a cue L in [0, 1] is p(road | cue) at even prior odds, so that cues multiply as
@@ -74,30 +74,17 @@ def road_position_prior(row: Tensor, column: Tensor) -> Tensor:
     return ((half - (column - 0.5).abs()) / SOFTNESS).sigmoid()
 
 
-def seed_log_odds(segments: Segments, ground: Tensor) -> Tensor:
-    """Return the log odds (n,) of road of segments, by position and layout's ground (n,) alone."""
-    prior = road_position_prior(segments.row, segments.column)
-    return fused_log_odds([ground, prior], [LAYOUT_WEIGHT, POSITION_WEIGHT])
-
-
-def segment_road(
-    segments: Segments,
-    layout: Tensor,
-    distance: Tensor,
-    texture: Tensor,
-    further: Tensor | float = 0.0,
-) -> Tensor:
+def segment_road(segments: Segments, layout: Tensor, distance: Tensor, texture: Tensor) -> Tensor:
     """Compute p(road) of each segment (n,) from its likelihoods (n,) by several cues.
 
     Naive Bayes over the cues gives a first belief. Then, in rounds, kernel densities of road and
     background are learned from the belief and added as one more cue, as are the neighbours.
 
-    layout: of ground. distance: from the seed area. texture: of uniformity. further: log odds (n,)
-    of further cues, added unweighted.
+    layout: of ground. distance: from the seed area. texture: of uniformity.
     """
     position = road_position_prior(segments.row, segments.column)
     exponents = [POSITION_WEIGHT, LAYOUT_WEIGHT, DISTANCE_WEIGHT, TEXTURE_WEIGHT]
-    fixed = BIAS + further + fused_log_odds([position, layout, distance, texture], exponents)
+    fixed = BIAS + fused_log_odds([position, layout, distance, texture], exponents)
     neighbours = NEIGHBOUR_WEIGHT * neighbour_mean(segments)
     similarity = segment_affinity(segments, BANDWIDTHS)
     score = fixed

@@ -1,8 +1,8 @@
 """The ego car: pixels of the vehicle that carries the camera, never road and never seed.
 
-It comes from the settings (``Ego``), a camera's file, or a network's map. Before an image is
-analysed, the ground above the ego car is extrapolated over it, so that the bottom of the image, of
-which the road's appearance is learned, is ground.
+It comes from the settings (``Ego``), a camera's file, or a network's map. The ground above it is
+extrapolated over it: in the image before it is analysed, or in a network's maps afterwards, so that
+the bottom of the image, of which the road's appearance is learned, is ground.
 """
 
 from pathlib import Path

@@ -31,7 +31,7 @@ Outlines = Annotated[
     ),
 ]
 
-MAX_ENLARGEMENT = 8  # times the pixels of the working size: 640x480 for 240x180
+MAX_ENLARGEMENT = 8  # times the pixels of the working size
 
 SUBSAMPLING = 2
 """Factor by which the analysed image is reduced for the guided filter."""

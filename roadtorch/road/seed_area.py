@@ -27,7 +27,7 @@ BOTTOM_BONUS = 4.0
 """Log odds by which the bottom of the image is preferred over its top when choosing a seed."""
 
 SEED_CELL = 12
-"""Side in pixels of the cells that make up a seed area: that of a superpixel."""
+"""Side in pixels of the cells that make up a seed area."""
 
 UPPER_HALF_PENALTY = 100.0  # log odds; excludes the upper half unless there is nothing else
 STRIP_ROWS = 256  # rows of the region map processed at a time; ours: about a megabyte

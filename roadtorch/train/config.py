@@ -10,8 +10,7 @@ from roadtorch.base.errors import ConfigError, unknown_name_error
 from roadtorch.base.settings import Settings, build_settings
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.imaging.slic import Superpixels
-from roadtorch.layout.backbone_network import BackboneNetworkSettings
-from roadtorch.layout.image_network import UpperRows
+from roadtorch.layout.backbone_network import BackboneNetworkSettings, UpperRows
 from roadtorch.layout.labeller import LabellerSettings
 from roadtorch.layout.patch_network import PatchNetworkSettings
 from roadtorch.layout.pretrained import IMAGENET

@@ -20,7 +20,7 @@ from roadtorch.imaging.segments import segment_mean, segment_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import NUM_CLASSES, UNLABELLED
 from roadtorch.layout.labeller import label_layout
-from roadtorch.layout.patch_network import normalise
+from roadtorch.layout.patch_network import FIXED_GAIN, normalise
 from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
 from roadtorch.train.config import PatchCentres, PatchTraining
 from roadtorch.train.effects import uniform
@@ -136,10 +136,10 @@ def sample_patches(pixels: Tensor, params: Variation, patch: int) -> Tensor:
 
 
 def add_noise(
-    patches: Tensor, params: Variation, noise: Tensor, gain: float, out: Tensor | None = None
+    patches: Tensor, params: Variation, noise: Tensor, out: Tensor | None = None
 ) -> Tensor:
-    """Add noise to patches (n, 3, P, P); ``gain`` is that of their ``NormalisedImage``."""
-    deviation = (params.noise * (gain / 255))[:, None, None, None]
+    """Add noise to normalised patches (n, 3, P, P)."""
+    deviation = (params.noise * (FIXED_GAIN / 255))[:, None, None, None]
     return torch.addcmul(patches, noise.index_select(0, params.noise_patch), deviation, out=out)
 
 
@@ -215,12 +215,12 @@ class PatchSamples:
             self._buffer = torch.empty(len(chunk.classes), 3, patch, patch)
         for member, count in zip(chunk.members, chunk.counts, strict=True):
             image = from_uint8(self._read(self._files[member], "image")["image"])
-            pixels, gain = normalise(image, self._training.network.normalisation)
+            pixels = normalise(image, self._training.network.normalisation)
             for first in range(start, start + count, EXTRACTION_BLOCK):
                 block = slice(first, min(first + EXTRACTION_BLOCK, start + count))
                 part = Variation(*(values[block] for values in chunk.params))
                 patches = sample_patches(pixels, part, patch)
-                add_noise(patches, part, chunk.noise, gain, self._buffer[block])
+                add_noise(patches, part, chunk.noise, self._buffer[block])
             start += count
 
     def _read_centres(self, member: int, epoch: int, visit: int) -> tuple[Tensor, Tensor]:

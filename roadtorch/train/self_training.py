@@ -1,6 +1,6 @@
 """Self-training: a network learns from rendered worlds, then from real images that it labels. Ours.
 
-The networks of `fusion` are made so, each in one run from ImageNet's features. Before each round
+The networks of `fusion` and `fusion:scratch` are made so, each in one run. Before each round
 but the first the detector with the mean of the rounds' networks labels the target images
 (unsupervised domain adaptation by self-training; Zou et al., ECCV 2018; DAFormer, Hoyer et al.,
 CVPR 2022), and that mean is what the run writes (Izmailov et al., "Averaging weights leads to wider
@@ -30,7 +30,7 @@ from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.inputs.item import Item, evenly_spaced
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import NUM_CLASSES, VERTICAL
-from roadtorch.layout.image_network import compute_cues, count_upper_rows, resize_rows
+from roadtorch.layout.network_cues import compute_cues, count_upper_rows, resize_rows
 from roadtorch.layout.pretrained import IMAGENET, wheel_package
 from roadtorch.layout.weights import (
     LayoutNetwork,

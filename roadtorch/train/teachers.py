@@ -16,13 +16,12 @@ from roadtorch.base.signals import StopRequest, until_stopped
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector
 from roadtorch.imaging.resize import resize_maps, spatial_size
-from roadtorch.layout.image_network import (
+from roadtorch.layout.network_cues import (
     Resize,
     count_upper_rows,
     resize_rows,
     scores_to_potentials,
 )
-from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import BackboneNetwork, hash_tensors
 from roadtorch.run.loop import Inference
 from roadtorch.run.memo import Arrays, cache_key, read_arrays, read_cached, write_cached
@@ -91,8 +90,7 @@ def label_with_network(
 @torch.no_grad()
 def network_maps(network: BackboneNetwork, image: Tensor) -> Tensor:
     """Compute potentials (5, h, w) in [0, 1] of an image (3, h, w), averaged over mirroring."""
-    pixels = normalise(image, network.settings.normalisation).pixels
     device = next(network.parameters()).device
-    scores = network(torch.stack([pixels, pixels.flip(-1)]).to(device))
+    scores = network(torch.stack([image, image.flip(-1)]).to(device))
     maps = scores_to_potentials(scores).to(image.device)
     return resize_maps((maps[0] + maps[1].flip(-1)) / 2, spatial_size(image))

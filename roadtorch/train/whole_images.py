@@ -20,11 +20,10 @@ from roadtorch.evaluation.metrics import ConfusionCounts, count_mask, f_measure
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import NUM_CLASSES
-from roadtorch.layout.image_network import (
+from roadtorch.layout.network_cues import (
     EGO_OUTPUT,
     ROAD_OUTPUT,
 )
-from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.pretrained import load_imagenet_weights, measure_norms, scale_layers
 from roadtorch.layout.weights import BackboneNetwork
 from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
@@ -103,11 +102,11 @@ class AugmentedImages(ABC):
     def read_samples(self, members: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Return prepared images (n, 3, H, W) in [0, 1] and their stacked ``Targets``."""
 
-    @abstractmethod
     def finish(
         self, images: Tensor, planes: Tensor, members: Sequence[int]
     ) -> tuple[Tensor, Tensor]:
         """Return the network's input and targets of augmented images and planes."""
+        return images, planes
 
     def read(self, file: Path, *names: str) -> Arrays:
         """Read arrays of a file, all or those named, on the device."""
@@ -146,13 +145,6 @@ class ImageSamples(AugmentedImages):
             planes = stack_bytes([none | entry for entry in arrays], "planes")
             targets = corrected_targets(targets, planes, training.corrections.weight)
         return images, torch.cat(targets, 1)
-
-    def finish(
-        self, images: Tensor, planes: Tensor, members: Sequence[int]
-    ) -> tuple[Tensor, Tensor]:
-        """Normalise images."""
-        normalisation = self.training.network.normalisation
-        return torch.stack([normalise(image, normalisation).pixels for image in images]), planes
 
 
 def stack_bytes(arrays: Sequence[Arrays], name: str) -> Tensor:

@@ -172,7 +172,7 @@ def stage_maps(network: PatchNetwork, image: Tensor) -> dict[str, Tensor]:
 
     Each stage moves the patch by the 2×2 pixels of its subsampling, as P2 draws it.
     """
-    pixels = normalise(image, network.settings.normalisation).pixels
+    pixels = normalise(image, network.settings.normalisation)
     first = network.first(pixels).tanh()
     pooled = functional.avg_pool2d(first, 2)
     second = functional.conv2d(pooled, network.second.weight, network.second.bias).tanh()

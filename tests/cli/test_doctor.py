@@ -25,10 +25,10 @@ def test_a_sound_installation_line_by_line(call: Call, monkeypatch: pytest.Monke
     lines = [line.split(maxsplit=2) for line in result.stdout.splitlines() if line[:2] == "  "]
     checks = {name: (state, problem) for state, name, problem in lines}
     assert (result.exit_code, result.stderr) == (0, "")
-    for name in ("layout-free.safetensors", "cnn-7.safetensors", "video", "fusion", "torch"):
+    for name in ("backbone-free.safetensors", "cnn-7.safetensors", "video", "fusion", "torch"):
         assert checks[name][0] == "ok", checks[name]
     assert "reads h264" in checks["video"][1]
-    assert checks["layout-free.safetensors"][1] == "SHA-256 e934f2e1f600…"
+    assert checks["backbone-free.safetensors"][1] == "SHA-256 b7185fa4ded7…"
     assert checks["fusion"][1].startswith("F 0.9")
     for runtime in ("torch", "onnxruntime"):
         assert re.search(rf"ok +fusion, {runtime} +\d+\.\d ms, \d+\.\d fps", result.stdout)

@@ -19,10 +19,11 @@ from roadtorch.data.corrections import EventLog, LogHeader, log_path
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import scoring, uncertainty
 from roadtorch.evaluation.report import files
-from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.weights import save_network
 from roadtorch.testing.scenes import render_scene, write_image
 from tests.command import Call, invoke_command
+from tests.networks import SMALL_BACKBONE
 from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, register_oracle, write_set
 
 
@@ -156,7 +157,7 @@ def test_weights_are_scored_on_corrections_beside_the_detector_they_began_with(t
         labels = np.where(scene.road.numpy(), 1, 2).astype(np.uint8)
         head = LogHeader(image=f"../streets/{seed}.png", height=48, width=64)
         EventLog(log_path(corrections, f"{seed}.png"), head).add(make_import_event(labels))
-    network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8))
+    network = BackboneNetwork(SMALL_BACKBONE)
     weights = tmp_path / "mine" / "weights.safetensors"
     weights.parent.mkdir()
     save_network(weights, network, {"corrections": [{"images": 7, "pixels": 9}]})

@@ -292,18 +292,18 @@ def test_a_detection_shows_itself(trusted: Detection, monkeypatch: pytest.Monkey
 def test_a_detection_without_its_image_has_no_overlay() -> None:
     detection = Detection(torch.zeros(16, 16), torch.zeros(16, 16).bool(), {})
 
-    assert detection._repr_png_() is None
+    assert detection._repr_jpeg_() is None
     with pytest.raises(InputError, match="is not part of this detection"):
         detection.overlay()
 
 
 def test_notebooks_show_a_line_and_the_overlay() -> None:
     detection = load_detector("prior:rows").detect(torch.full((3, 40, 2000), 0.4))
-    png = detection._repr_png_()
+    jpeg = detection._repr_jpeg_()
 
     assert re.fullmatch(r"<Detection 2000×40, road \d+%>", repr(detection))
-    assert png is not None
-    assert Image.open(io.BytesIO(png)).size == (960, 19)
+    assert jpeg is not None
+    assert Image.open(io.BytesIO(jpeg)).size == (960, 19)
     doubtful = replace(detection, trust=0.314, doubt="no road found")
     assert repr(doubtful).endswith(", trust 0.31 (no road found)>")
 

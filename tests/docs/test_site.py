@@ -13,7 +13,7 @@ from textwrap import dedent
 import pytest
 
 import roadtorch
-from docs._extensions.notebooks import PNG, same_notebook
+from docs._extensions.notebooks import JPEG, same_notebook
 from roadtorch.cli.group import COMMANDS
 from roadtorch.detectors.catalogue import ENTRIES
 from roadtorch.oneclass import CLASSIFIERS
@@ -164,5 +164,5 @@ def test_the_notebook_is_small_and_another_text_or_picture_in_it_is_noticed() ->
     picture = b64encode((ROOT / "docs/figures/p2-fig3.png").read_bytes()).decode()
 
     assert len(notebook) < 300 * 1024
-    for other in (notebook.replace("fusion", "cpf"), PNG.sub(picture, notebook)):
+    for other in (notebook.replace("fusion", "cpf"), JPEG.sub(picture, notebook)):
         assert not same_notebook(notebook, other)

@@ -17,11 +17,10 @@ from roadtorch.evaluation.methods import (
     parse_contenders,
     resize_map,
 )
-from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
-from roadtorch.layout.weights import save_network
 from roadtorch.road.bayes import prior_rows
 from roadtorch.testing.scenes import render_scene, write_image
 from tests.evaluation.conftest import GROUPS
+from tests.networks import write_random_network
 
 
 @pytest.fixture
@@ -29,8 +28,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Write weights, a config and a folder of maps to the working directory."""
     for name in ("mine", "theirs", "prior:rows"):
         (tmp_path / name).mkdir()
-    network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8))
-    save_network(tmp_path / "mine/weights.safetensors", network, {})
+    write_random_network(tmp_path / "mine/weights.safetensors", 0)
     (tmp_path / "mine/a=b.toml").write_text('detector = "cpf"\nthreshold = 0.25\n')
     monkeypatch.chdir(tmp_path)
     return tmp_path

@@ -12,7 +12,6 @@ from roadtorch.export.steps import TWINS
 from roadtorch.imaging.color import Exposure, brighten
 from roadtorch.imaging.levels import is_above, is_at_least
 from roadtorch.imaging.resize import WorkingSize, resize_maps, resize_to_image, resize_to_work
-from roadtorch.layout.patch_network import Normalisation, normalise
 from roadtorch.road.bayes import log_odds
 from roadtorch.road.ego import extrapolate_over_ego, find_ego_car
 from roadtorch.road.outlines import guided_filter
@@ -29,10 +28,6 @@ EGO = torch.stack([BONNET, torch.zeros_like(BONNET)])
 ROAD = torch.rand(2, HEIGHT, WIDTH, generator=seeded_generator(3))
 
 
-def normalised(kind: str, image: Tensor) -> Tensor:
-    return normalise(image, Normalisation.model_validate({"kind": kind})).pixels
-
-
 def trust(road: Tensor) -> Tensor:
     mask, ego = road > 0.5, torch.zeros_like(road, dtype=torch.bool)
     signs = trust_features(road, mask, ego)
@@ -47,8 +42,6 @@ STEPS: dict[str, tuple[Callable[..., Tensor], tuple[Tensor, ...]]] = {
     "labels": (partial(resize_to_image, size=(90, 20)), (EGO > 0.5,)),
     "resize_to_work": (partial(resize_to_work, working=WorkingSize(pixels=1000)), (IMAGES,)),
     "brightened": (partial(brighten, exposure=Exposure()), (IMAGES,)),
-    "fixed": (partial(normalised, "fixed"), (IMAGES,)),
-    "image": (partial(normalised, "brightened image"), (IMAGES,)),
     "find_ego_car": (find_ego_car, (EGO,)),
     "continued": (extrapolate_over_ego, (IMAGES, EGO > 0.5)),
     "find_seed_area": (partial(find_seed_area, fraction=0.05), (log_odds(ROAD),)),

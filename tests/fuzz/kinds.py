@@ -28,7 +28,6 @@ from roadtorch.data.likelihood_maps import open_maps, read_decision_settings, re
 from roadtorch.data.masks import read_masks
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.evaluation.methods import Contender, apply_thresholds, contender_from_name
-from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.road.ego import Ego, ego_car, read_ego_mask
@@ -94,15 +93,12 @@ def build_from(path: Path, build: Callable[[], object]) -> bool:
 
 # --- weights --------------------------------------------------------------------------------
 
-NETWORKS = (
-    PatchNetwork(PatchNetworkSettings(topology=Topology(k1=6, potentials="softmax"))),
-    ImageNetwork(ImageNetworkSettings(height=40, width=48, narrow=8, wide=8)),
-)
+NETWORK = PatchNetwork(PatchNetworkSettings(topology=Topology(k1=6, potentials="softmax")))
 
 
 def make_network(draw: Draw, folder: Path) -> bytes:
     path = folder / "whole.safetensors"
-    save_network(path, choose(draw, *NETWORKS), {"config": {"seed": 3}})
+    save_network(path, NETWORK, {"config": {"seed": 3}})
     return mutate_safetensors(draw, path.read_bytes())
 
 

@@ -6,6 +6,7 @@ from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from threading import Event
 
+import cv2
 import pytest
 import torch
 
@@ -13,7 +14,7 @@ from roadtorch import detect_stream, load_detector
 from roadtorch.base import urls
 from roadtorch.base.bounded import strip_password
 from roadtorch.base.errors import InputError
-from roadtorch.base.image import decode_image, png_bytes, read_image, to_pixels
+from roadtorch.base.image import decode_image, read_image, to_pixels
 from roadtorch.inputs.find import find_inputs
 from roadtorch.inputs.images import find_images
 from roadtorch.testing import street
@@ -21,8 +22,12 @@ from tests.command import ROWS, Call, save_image
 from tests.servers import Answer, send, serving
 
 
+def png_bytes(image: torch.Tensor) -> bytes:
+    return cv2.imencode(".png", to_pixels(image)[..., ::-1])[1].tobytes()
+
+
 def image() -> bytes:
-    return png_bytes(to_pixels(street(48, 64, 1)), 64)
+    return png_bytes(street(48, 64, 1))
 
 
 def locked(handler: BaseHTTPRequestHandler) -> None:
@@ -36,7 +41,7 @@ def locked(handler: BaseHTTPRequestHandler) -> None:
 def echo_credentials(handler: BaseHTTPRequestHandler) -> None:
     """Send an image 7 pixels wide to a request with credentials, else one 5 wide."""
     width = 7 if "Authorization" in handler.headers else 5
-    send(png_bytes(to_pixels(street(16, width, 1)), 64), "image/png")(handler)
+    send(png_bytes(street(16, width, 1)), "image/png")(handler)
 
 
 def redirect(handler: BaseHTTPRequestHandler) -> None:

@@ -114,7 +114,7 @@ def test_a_detection_on_a_device_is_shown_saved_and_converted(
         for end in ("mask.png", "likelihood.png", "overlay.jpg", "npz"):
             detection.save(tmp_path / f"street.{end}")
         assert detection.polygons()
-        assert detection._repr_png_()
+        assert detection._repr_jpeg_()
         assert repr(detection)
 
     assert isinstance(detection.likelihood, Pretended)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
+from roadtorch.layout.patch_network import FIXED_GAIN
 from roadtorch.run.memo import write_arrays
 from roadtorch.train.config import PatchCentres, PatchTraining, build_training
 from roadtorch.train.patches import (
@@ -88,13 +89,13 @@ def test_varied_patches_are_slow_ones(scale: float, degrees: float, row: int, co
     np.testing.assert_allclose(patch.numpy(), expected, atol=2e-4)
 
 
-def test_noise_is_in_grey_levels_of_255_whatever_the_gain() -> None:
+def test_noise_is_in_grey_levels_of_255() -> None:
     generator = seeded_generator(5)
     draw = sample_variation(torch.zeros(300, 2), generator)._replace(noise=torch.full((300,), 0.8))
 
-    noise = add_noise(torch.zeros(300, 3, 32, 32), draw, sample_noise(32, generator), gain=4.0)
+    noise = add_noise(torch.zeros(300, 3, 32, 32), draw, sample_noise(32, generator))
 
-    assert float(noise.std()) * 255 / 4 == pytest.approx(0.8, rel=0.01)
+    assert float(noise.std()) * 255 / FIXED_GAIN == pytest.approx(0.8, rel=0.01)
     assert abs(float(noise.mean())) < 1e-3
     assert not torch.equal(noise[0], noise[1])
 

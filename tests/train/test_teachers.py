@@ -8,9 +8,8 @@ import torch
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.signals import StopRequest
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.layout.backbone_network import BackboneNetwork
+from roadtorch.layout.backbone_network import NUM_OUTPUTS, BackboneNetwork
 from roadtorch.layout.classes import NUM_CLASSES
-from roadtorch.layout.image_network import NUM_OUTPUTS
 from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.train.config import ImageTraining, Teacher, build_training
 from roadtorch.train.targets import make_targets

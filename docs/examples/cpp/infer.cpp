@@ -52,7 +52,7 @@ int main(int count, char** words) try {
         memory, image.rgb.data(), image.rgb.size(), shape.data(), shape.size());
 
     const char* given[] = {"image"};
-    const char* wanted[] = {"mask", "trust"};  // trust: of fusion and fusion:large alone
+    const char* wanted[] = {"mask", "trust"};  // trust: of fusion, fusion:large and fusion:scratch
     auto found = session.Run(Ort::RunOptions{nullptr}, given, &input, 1, wanted, 2);
     const uint8_t* mask = found[0].GetTensorData<uint8_t>();  // height × width, 1 road
     const float trust = found[1].GetTensorData<float>()[0];

@@ -21,7 +21,7 @@ from roadtorch.imaging.motion import flow_image
 from roadtorch.imaging.resize import spatial_size
 from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout.classes import NUM_CLASSES
-from roadtorch.layout.image_network import ROAD_OUTPUT
+from roadtorch.layout.network_cues import ROAD_OUTPUT
 from roadtorch.layout.weights import (
     BackboneNetwork,
     load_network,

@@ -1,4 +1,4 @@
-"""The networks for whole images, and weight files."""
+"""The network for whole images, and weight files."""
 
 import json
 import math
@@ -18,9 +18,7 @@ from roadtorch.layout.backbone_network import (
     BackboneNetworkSettings,
     Conv2dSame,
 )
-from roadtorch.layout.image_network import (
-    ImageNetwork,
-    ImageNetworkSettings,
+from roadtorch.layout.network_cues import (
     compute_cues,
     count_upper_rows,
     resize_rows,
@@ -44,8 +42,6 @@ from roadtorch.layout.weights import (
 )
 from tests.draws import seeded_generator
 
-SMALL = ImageNetworkSettings(height=48, width=64, narrow=8, wide=16)
-
 
 @pytest.fixture(scope="module")
 def backbone() -> BackboneNetwork:
@@ -56,12 +52,12 @@ def backbone() -> BackboneNetwork:
 
 @pytest.mark.parametrize("size", [(16, 16), (50, 61), (100, 333)])
 def test_cues_are_potentials_of_its_size(size: tuple[int, int], backbone: BackboneNetwork) -> None:
-    for network in (backbone, ImageNetwork(SMALL)):
-        cues = compute_cues(network, torch.rand(3, *size, generator=seeded_generator(0)))
-        assert cues["layout"].shape == (3, *size)
-        assert cues["road"].shape == cues["ego"].shape == size
-        assert all(0 <= float(maps.min()) <= float(maps.max()) <= 1 for maps in cues.values())
-        torch.testing.assert_close(cues["layout"].sum(0), torch.ones(size))
+    cues = compute_cues(backbone, torch.rand(3, *size, generator=seeded_generator(0)))
+
+    assert cues["layout"].shape == (3, *size)
+    assert cues["road"].shape == cues["ego"].shape == size
+    assert all(0 <= float(maps.min()) <= float(maps.max()) <= 1 for maps in cues.values())
+    torch.testing.assert_close(cues["layout"].sum(0), torch.ones(size))
 
 
 # --- ours ----------------------------------------------------------------------------------
@@ -96,7 +92,7 @@ def test_cues_are_back_in_their_place_for_any_upper_rows(backbone: BackboneNetwo
     torch.testing.assert_close(uniform["road"], plain, atol=1e-5, rtol=0)
 
 
-@pytest.mark.parametrize("height", [32, 40, 192])
+@pytest.mark.parametrize("height", [32, 64, 192])
 @pytest.mark.parametrize("fraction", [0.0, 0.02, 0.8])
 def test_some_rows_are_left_for_the_ground(fraction: float, height: int) -> None:
     rows = count_upper_rows(fraction, height)
@@ -104,17 +100,16 @@ def test_some_rows_are_left_for_the_ground(fraction: float, height: int) -> None
     assert resize_rows(torch.rand(1, 16, 16), (height, 24), rows).shape == (1, height, 24)
 
 
-def test_weights_apply_to_images_of_another_size() -> None:
-    network = ImageNetwork(SMALL).eval()
-    pixels = torch.rand(1, 3, 64, 88, generator=seeded_generator(0))
+def test_weights_apply_to_images_of_another_size(backbone: BackboneNetwork) -> None:
+    pixels, settings = torch.rand(1, 3, 96, 128, generator=seeded_generator(0)), backbone.settings
 
-    resized = resize_network(network, 64, 88)
+    resized = resize_network(backbone, 96, 128)
 
-    assert (resized.settings.height, resized.settings.width) == (64, 88)
-    assert resized.settings.wide == SMALL.wide
+    assert (resized.settings.height, resized.settings.width) == (96, 128)
+    assert resized.settings.wide == settings.wide
     assert not resized.training
-    torch.testing.assert_close(resized(pixels), network(pixels))
-    assert network.settings == SMALL
+    torch.testing.assert_close(resized(pixels), backbone(pixels))
+    assert backbone.settings == settings
 
 
 # --- on a backbone -------------------------------------------------------------------------
@@ -142,7 +137,6 @@ def test_the_card_of_the_backbone_names_imagenet() -> None:
 
 NETWORKS = [
     PatchNetwork(PatchNetworkSettings(topology=Topology(k1=6, potentials="softmax"))),
-    ImageNetwork(ImageNetworkSettings(height=40, width=48, narrow=8, wide=8)),
     *(
         BackboneNetwork(BackboneNetworkSettings(height=32, width=64, heads=1, backbone=name))
         for name in BACKBONES
@@ -218,7 +212,7 @@ def test_truncation_and_flipped_bits_are_detected_anywhere(weights: Path) -> Non
     ("changes", "message"),
     [
         ({"format": 2}, "has format 2; this roadtorch reads up to 1"),
-        ({"kind": "transformer"}, "has no roadtorch header"),
+        ({"kind": "transformer"}, "has no header of this version"),
         ({"settings": {"topology": {"k9": 1}}}, "has settings that this version cannot use"),
         ({"settings": {"topology": {"k1": 4}}}, "holds another network: size mismatch for first"),
     ],
@@ -250,15 +244,14 @@ def test_cards_of_shipped_weights_state_terms_of_use() -> None:
     terms = {name: read_terms(shipped_weights(name)) for name in list_shipped_weights()}
     assert [name for name in terms if not terms[name].startswith("anything: Apache-2.0")] == []
     assert terms.keys() == {
-        *("backbone-free", "cnn-7", "cnn-7-paper", "layout-free", "rendered-free")
+        *("backbone-free", "cnn-7", "cnn-7-paper", "rendered-free", "scratch-free")
     }
 
 
-def test_initial_weights_of_the_free_weights_are_free() -> None:
-    origin = read_origin(shipped_weights("layout-free"))
-    config = origin["config"]
-    assert config["start"] == config["teacher"]["weights"] == "runs/free-3/weights.safetensors"
-    assert origin["images"] == 640 + 390 + 49
+def test_the_network_of_fusion_scratch_began_with_random_weights() -> None:
+    config = read_origin(shipped_weights("scratch-free"))["config"]
+
+    assert (config["initial_weights"], config["network"]["backbone"]) == ("", "none")
 
 
 def test_weights_without_a_card_state_no_terms(weights: Path) -> None:
@@ -268,6 +261,6 @@ def test_weights_without_a_card_state_no_terms(weights: Path) -> None:
 
 
 def test_weights_are_named_by_their_file_or_by_the_name_of_shipped_ones(tmp_path: Path) -> None:
-    assert weights_path("layout-free") == shipped_weights("layout-free")
+    assert weights_path("cnn-7") == shipped_weights("cnn-7")
     for name in ("./layout.pt", str(tmp_path / "mine.safetensors")):
         assert weights_path(name) == Path(name)
