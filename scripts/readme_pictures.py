@@ -39,19 +39,19 @@ FAILED = ("walkrobot_jp_005", "offroad_fr_13", "vineyard_it_013", "pothole8_004"
 READ = ("rseg_0103", "sc_0123", "aura_0002", "walkrobot_jp_009", "pothole8_004", "mcnight_0007")
 """A country road, a track; a plaza, a pavement; a road half in shadow, a tunnel at night."""
 
-DRIVE, DRIVE_SECONDS, DRIVE_WIDTH = "california_tree_shadows.mp4", (3.0, 6.0), 288
+DRIVE, DRIVE_SECONDS, DRIVE_WIDTH = "california_tree_shadows.mp4", (3.0, 6.0), 256
 
 EVERY, DURATION, COLOURS = 3, 200, 32  # of 15 frames a second; milliseconds; of the palette
 
-QUALITY = 70  # of JPEG
+QUALITY, STEPS_QUALITY = 70, 85  # of JPEG; tests analyse the images of steps.jpg
 OUT = Path(__file__).resolve().parents[1] / "docs/pictures"
 STREET_IMAGES = OUT.parents[1] / "train/street_images.csv"
 
 
-def write_jpeg(path: Path, sheet: np.ndarray, scale: float = 1) -> None:
+def write_jpeg(path: Path, sheet: np.ndarray, scale: float = 1, quality: int = QUALITY) -> None:
     """Write a sheet, uint8 RGB (H, W, 3), at a scale."""
     sheet = cv2.resize(sheet, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality]
     cv2.imwrite(str(path), np.ascontiguousarray(sheet[..., ::-1]), options)
 
 
@@ -69,7 +69,7 @@ def write_steps(folder: Path, path: Path) -> None:
         }
         height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
         rows.append(np.hstack([caption_tile(tile, text, height) for text, tile in tiles.items()]))
-    write_jpeg(path, np.vstack(rows))
+    write_jpeg(path, np.vstack(rows), quality=STEPS_QUALITY)
 
 
 def write_fusion(folder: Path, path: Path) -> None:
