@@ -15,8 +15,7 @@ from roadtorch.testing.scenes import render_scene
 
 STATIC = Path(__file__).with_name("static")
 
-SERVICE_WORKER = "offline.js"
-"""Service worker; its cache is named after the content of the other files."""
+SERVICE_WORKER = "offline.js"  # its cache is named after the content of the other files
 
 RUNTIME_FILES = ("ort.wasm.min.mjs", "ort-wasm-simd-threaded.mjs", "ort-wasm-simd-threaded.wasm")
 """Files that the page needs of onnxruntime-web, an npm package under the MIT licence."""
@@ -24,9 +23,7 @@ RUNTIME_FILES = ("ort.wasm.min.mjs", "ort-wasm-simd-threaded.mjs", "ort-wasm-sim
 WEB_FILES = ("road.onnx", "street.jpg", *(f.name for f in STATIC.iterdir()), *RUNTIME_FILES)
 
 RUNTIME_VERSION = "1.30.0"
-
-RUNTIME_FOLDER = Path("node_modules/onnxruntime-web/dist")
-"""Folder that npm installs it to, below the working directory."""
+RUNTIME_FOLDER = Path("node_modules/onnxruntime-web/dist")  # where npm installs it
 
 
 def export_page(detector: Detector, out: Path) -> ExportResult:
@@ -50,9 +47,8 @@ def export_page(detector: Detector, out: Path) -> ExportResult:
             shutil.copyfile(source, temporary)
     worker = (STATIC / SERVICE_WORKER).read_text(encoding="utf-8")
     worker = worker.replace("VERSION", hashlib.sha256(digests.encode()).hexdigest()[:12])
-    worker = worker.replace(
-        "[]", json.dumps(["./", *(name for name in fetched if name != SERVICE_WORKER)])
-    )
+    listed = json.dumps(["./", *(name for name in fetched if name != SERVICE_WORKER)])
+    worker = worker.replace("[]", listed)
     with atomic_write(out / SERVICE_WORKER) as temporary:
         temporary.write_text(worker, encoding="utf-8")
     return replace(exported, files=tuple(out / name for name in fetched))

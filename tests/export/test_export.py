@@ -200,14 +200,15 @@ def test_a_file_that_differs_from_python_is_not_written(
     assert not any(tmp_path.iterdir())
 
 
-def test_nan_counts_as_an_infinite_difference() -> None:
-    def run(_: np.ndarray) -> dict[str, np.ndarray]:
-        return {"likelihood": np.full((1, 16, 20), np.nan, np.float32)}
+@pytest.mark.parametrize(("wrong", "largest"), [(2, 0.0), (3, float("inf"))])
+def test_nan_is_infinitely_far_but_a_pixel_of_100000_counts_not(wrong: int, largest: float) -> None:
+    actual = np.zeros((1, 400, 500), np.float32)
+    actual[0, 0, :wrong] = np.nan
+    zeros = {"likelihood": torch.zeros(400, 500)}
 
-    apart = measure_parity(run, lambda _: {"likelihood": torch.zeros(16, 20)}, [images(16, 20)])
+    apart = measure_parity(lambda _: {"likelihood": actual}, lambda _: zeros, [images(400, 500)])
 
-    assert apart.max_difference == float("inf")
-    assert apart.location == "likelihood at 20×16"
+    assert (apart.max_difference, apart.location) == (largest, "likelihood at 500×400")
 
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -60,9 +60,6 @@ def test_cues_are_potentials_of_its_size(size: tuple[int, int], backbone: Backbo
     torch.testing.assert_close(cues["layout"].sum(0), torch.ones(size))
 
 
-# --- ours ----------------------------------------------------------------------------------
-
-
 def test_upper_rows_are_those_of_the_upper_three_tenths() -> None:
     image = torch.linspace(0, 1, 480)[:, None].expand(1, 480, 16)
 
@@ -110,9 +107,6 @@ def test_weights_apply_to_images_of_another_size(backbone: BackboneNetwork) -> N
     assert not resized.training
     torch.testing.assert_close(resized(pixels), backbone(pixels))
     assert backbone.settings == settings
-
-
-# --- on a backbone -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("kernel", "pads"), [(3, (0, 1)), (5, (1, 2))])
