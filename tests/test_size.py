@@ -32,10 +32,10 @@ LINES = {
     "roadtorch/ros": 534,
     "roadtorch/run": 2_197,
     "roadtorch/testing": 636,
-    "roadtorch/train": 3_968,
+    "roadtorch/train": 3_966,
     "roadtorch/ufl": 1_345,
     "scripts": 4_503,
-    "tests": 26_493,
+    "tests": 26_490,
     "train": 4_439,
 }
 """The lines of source code that each folder may have."""
@@ -62,6 +62,8 @@ def test_a_folder_is_no_larger_than_it_may_be(folder: str, limit: int) -> None:
 def test_the_repository_stays_small_enough_to_clone() -> None:
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
     files = [ROOT / name for name in listed.stdout.split("\0") if name]
+    if not files:
+        pytest.skip("this is no git checkout")
 
     assert sum(file.stat().st_size for file in files if file.is_file()) <= REPOSITORY_BYTES, REASON
 

@@ -16,13 +16,14 @@ from roadtorch.base.signals import StopRequest, until_stopped
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector
 from roadtorch.imaging.resize import resize_maps, spatial_size
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.network_cues import (
     Resize,
     count_upper_rows,
     resize_rows,
     scores_to_potentials,
 )
-from roadtorch.layout.weights import BackboneNetwork, hash_tensors
+from roadtorch.layout.weights import hash_tensors
 from roadtorch.run.loop import Inference
 from roadtorch.run.memo import Arrays, cache_key, read_arrays, read_cached, write_cached
 from roadtorch.train.config import ImageTraining, Teacher

@@ -19,13 +19,10 @@ from roadtorch.data.events import NOT_ROAD, ROAD_LABEL, VOID_LABEL, layout_layer
 from roadtorch.evaluation.metrics import ConfusionCounts, count_mask, f_measure
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.inputs.item import Item
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import NUM_CLASSES
-from roadtorch.layout.network_cues import (
-    EGO_OUTPUT,
-    ROAD_OUTPUT,
-)
+from roadtorch.layout.network_cues import EGO_OUTPUT, ROAD_OUTPUT
 from roadtorch.layout.pretrained import load_imagenet_weights, measure_norms, scale_layers
-from roadtorch.layout.weights import BackboneNetwork
 from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
 from roadtorch.train.augmentation import InputResize, augment_batch
 from roadtorch.train.config import HeadWeights, ImageTraining, SelfTraining
