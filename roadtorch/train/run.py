@@ -19,8 +19,9 @@ from roadtorch.base.version import __version__
 from roadtorch.data.corrections import HumanLabels
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
+from roadtorch.layout.backbone_network import BackboneNetwork
+from roadtorch.layout.pretrained import add_norms, fold_norms
 from roadtorch.layout.weights import (
-    BackboneNetwork,
     LayoutNetwork,
     build_network,
     load_network,
@@ -127,10 +128,13 @@ def make_recipe(training: Training, source: Sequence[Path] = (), corrected: int 
     return PatchRecipe(training)
 
 
-def make_network(training: Training) -> LayoutNetwork:
-    """Return a new network with random weights."""
+def make_network(training: Training, number: int = 1) -> LayoutNetwork:
+    """Return a new network with random weights; in a first round a backbone is normalised."""
     with seed_torch(training.random_seed, 0):
-        return build_network(training.network)
+        network = build_network(training.network)
+        if isinstance(network, BackboneNetwork) and not training.initial_weights and number == 1:
+            add_norms(network.backbone)
+    return network
 
 
 def load_initial_network(training: Training) -> LayoutNetwork | None:
@@ -229,11 +233,13 @@ class TrainingRun:
         trained = [file for file, name in files.items() if name not in held_out]
         progress = _read_progress(state, path / CHECKPOINT) if state else TrainingProgress()
         inputs = TrainingInputs(trained, corrected, self.initial, path, device=self.request.device)
-        network = self.initial or make_network(self.training)
+        network = self.initial or make_network(self.training, progress.round)
         while True:
             loop = self._train_round(network, inputs, progress, state, validation)
             network, state = loop.average.eval(), None
             network.load_state_dict(loop.best)
+            if isinstance(network, BackboneNetwork):
+                fold_norms(network.backbone)
             if not progress.finished:
                 break
             result = self.recipe.finish_round(network, path, progress.round)

@@ -271,8 +271,10 @@ class Loop:
         """Update the moving average of the weights (Polyak and Juditsky 1992)."""
         steps = self.progress.steps
         decay = min(self.descent.ema, steps / (steps + WARM_UP_STEPS))
-        for mean, weight in zip(self.average.parameters(), self.network.parameters(), strict=True):
-            mean.lerp_(weight, 1 - decay)
+        means, weights = (part.state_dict() for part in (self.average, self.network))
+        for name, mean in means.items():
+            if mean.is_floating_point():  # not a count of batches
+                mean.lerp_(weights[name], 1 - decay)
 
     def step(self, batch: Batch) -> float:
         """Take one step down the mean loss of a batch; return the loss summed over the batch."""

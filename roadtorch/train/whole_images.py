@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from roadtorch.inputs.item import Item
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.network_cues import EGO_OUTPUT, ROAD_OUTPUT
-from roadtorch.layout.pretrained import load_imagenet_weights, measure_norms, scale_layers
+from roadtorch.layout.pretrained import load_imagenet_weights, measure_norms
 from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
 from roadtorch.train.augmentation import InputResize, augment_batch
 from roadtorch.train.config import HeadWeights, ImageTraining, SelfTraining
@@ -44,7 +43,6 @@ from roadtorch.train.training_loop import (
     Recipe,
     TrainingInputs,
     make_generator,
-    seed_torch,
 )
 
 # --- samples ----------------------------------------------------------------------------
@@ -202,7 +200,7 @@ LEVEL_BATCHES = 30
 def initialise_network(
     network: nn.Module, samples: AugmentedImages, training: ImageTraining | SelfTraining
 ) -> None:
-    """Load ImageNet's weights, or scale random ones, and measure the levels of features.
+    """Load ImageNet's weights, if those, and measure the levels of features.
 
     A network with other initial weights stays as it is.
     """
@@ -212,11 +210,8 @@ def initialise_network(
     network.to(samples.device)
     count = min(LEVEL_BATCHES, samples.chunks)
     images = (batch.inputs for chunk in range(count) for batch in samples.batches(0, chunk))
-    with seed_torch(training.random_seed, 1):
-        if training.initial_weights:
-            load_imagenet_weights(network.backbone, network.settings.backbone)
-        else:
-            scale_layers(network.backbone, next(islice(images, 1)))
+    if training.initial_weights:
+        load_imagenet_weights(network.backbone, network.settings.backbone)
     measure_norms(network, images)
 
 

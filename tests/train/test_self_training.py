@@ -129,7 +129,7 @@ class Round:
         images = find_images([request.images])
         prepared = prepare_folder(recipe, images, request.prepared, StopRequest(), True)
         self.files = [item.file for item in prepared if item.file]
-        network = make_network(training).eval()
+        network = make_network(training, number=2).eval()
         assert isinstance(network, BackboneNetwork)
         self.network = network
 

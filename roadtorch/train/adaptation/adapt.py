@@ -20,15 +20,10 @@ from roadtorch.camera.footage import StaticFootageError, estimate_camera
 from roadtorch.imaging.motion import flow_image
 from roadtorch.imaging.resize import spatial_size
 from roadtorch.inputs.item import evenly_spaced
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.network_cues import ROAD_OUTPUT
-from roadtorch.layout.weights import (
-    BackboneNetwork,
-    load_network,
-    read_origin,
-    save_network,
-    weights_path,
-)
+from roadtorch.layout.weights import load_network, read_origin, save_network, weights_path
 from roadtorch.road.bayes import log_odds
 from roadtorch.road.temporal_filter import TemporalFilterSettings, smooth_log_odds
 from roadtorch.run.memo import read_arrays, read_cached, write_cached
