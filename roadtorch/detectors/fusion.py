@@ -1,13 +1,12 @@
 """Fusion: a network and the image's appearance, or naive Bayes of several cues (P2 section 5)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Annotated, Literal
 
 import torch
 from pydantic import Field
 from torch import Tensor, nn
-from torch.nn import functional
 
 from roadtorch.base.settings import Settings
 from roadtorch.detectors.entry import (
@@ -19,13 +18,12 @@ from roadtorch.detectors.entry import (
     use_inference_mode,
 )
 from roadtorch.detectors.texture import texture_cues
-from roadtorch.imaging.resize import WorkingSize, round_to_pixels, side_length
+from roadtorch.imaging.resize import WorkingSize
 from roadtorch.imaging.segments import paint_segments
 from roadtorch.imaging.slic import Superpixels
-from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES
 from roadtorch.layout.labeller import HorizonSettings, decide_layout, label_segments
-from roadtorch.layout.network_cues import RoadFusion, compute_cues
+from roadtorch.layout.network_cues import compute_cues
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import (
     DEFAULT_WEIGHTS,
@@ -70,22 +68,6 @@ class RoadCalibration(Settings):
     )
 
 
-class SecondNetwork(Settings):
-    """Second network, trained from other initial weights, so that it makes other errors.
-
-    Road and layout are averaged; the ego car is that of the first network, which may be adapted.
-    """
-
-    file: str = Field(
-        default="",
-        description="weights of a second network: a file or a shipped name, such as rendered-free; "
-        "empty: none",
-    )
-    weight: float = Field(
-        default=0.4, gt=0, lt=1, description="weight of the second network in the average, 0 to 1"
-    )
-
-
 class AppearanceSettings(Settings):
     """Fusion of the network's road with the appearance learned in the image."""
 
@@ -104,14 +86,10 @@ class FusionSettings(WorkingSettings):
     working: WorkingSize = WorkingSize(pixels=352 * 264)
     outlines: Outlines = "guided"
     weights: WeightsFile = WeightsFile()
-    crops: tuple[Annotated[float, Field(gt=0, le=0.9)], ...] = Field(
-        strict=False,
-        default=(),
-        max_length=8,
-        description="fractions of the height cropped at the top for extra passes; outputs are "
-        "averaged",
+    mirrored: bool = Field(
+        default=False,
+        description="also run the network on the mirrored image; outputs are averaged",
     )
-    second: SecondNetwork = SecondNetwork()
     appearance: AppearanceSettings = AppearanceSettings()
     calibration: RoadCalibration = RoadCalibration()
     trust: TrustSettings = TrustSettings()
@@ -182,7 +160,7 @@ def untrained_fusion(image: Tensor, settings: UntrainedFusionSettings) -> Mappin
 
 
 class Fusion(nn.Module):
-    """Road of one or two networks, fused with its appearance in the image, calibrated.
+    """Road of a network, fused with its appearance in the image, calibrated.
 
     P2's texture and our distance from the seed area and position, which ``fusion:untrained`` uses,
     gain too little for their time here (``train.cues`` at 0ee65af).
@@ -192,8 +170,6 @@ class Fusion(nn.Module):
         super().__init__()
         self.settings = settings
         self.network = load_image_network(settings.weights, DEFAULT_WEIGHTS)
-        file = settings.second.file
-        self.second = load_image_network(WeightsFile(file=file), file) if file else None
 
     @use_inference_mode
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
@@ -217,35 +193,18 @@ class Fusion(nn.Module):
         }
 
     def predict(self, image: Tensor) -> Mapping[str, Tensor]:
-        """Compute the cues of an image (3, H, W), averaged over views and over networks."""
+        """Compute the cues of an image (3, H, W), where set the mean with those of its mirror."""
         fuse = partial(fuse_appearance, weight=self.settings.appearance.weight)
-        maps = average_views(self.network, image, self.settings.crops, fuse)
-        if self.second is None:
+        maps = compute_cues(self.network, image, fuse)
+        if not self.settings.mirrored:
             return maps
-        second = average_views(self.second, image, self.settings.crops, fuse)
-        weight = self.settings.second.weight
-        mean = {name: torch.lerp(maps[name], second[name], weight) for name in maps}
-        return {**mean, "ego": maps["ego"]}
+        mirrored = compute_cues(self.network, image.flip(-1), fuse)
+        return {name: (maps[name] + mirrored[name].flip(-1)) / 2 for name in maps}
 
     def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
         """Predict the trust in a mask, bool (H, W); ``likelihood`` is one of the cues."""
         features = trust_features(cues["likelihood"], mask, cues["ego"])
         return estimate_trust(features, mask.flatten(-2).any(-1), self.settings.trust)
-
-
-def average_views(
-    network: BackboneNetwork, image: Tensor, crops: Sequence[float], fuse: RoadFusion
-) -> Mapping[str, Tensor]:
-    """Average ``compute_cues`` of an image (…, 3, H, W) and of its lower crops."""
-    total, height = compute_cues(network, image, fuse), image.shape[-2]
-    views = image.new_ones(height, 1)
-    for crop in crops:
-        rows = round_to_pixels(side_length(height) * (1 - crop), 1)
-        lower = image.index_select(-2, torch.arange(height - rows, height, device=image.device))
-        padding, maps = (0, 0, height - rows, 0), compute_cues(network, lower, fuse, upper_rows=0)
-        total = {name: total[name] + functional.pad(maps[name], padding) for name in total}
-        views = views + functional.pad(views.new_ones(rows, 1), padding)
-    return {name: maps / views for name, maps in total.items()} if crops else total
 
 
 def calibrated_likelihood(odds: Tensor, calibration: RoadCalibration) -> Tensor:
@@ -312,10 +271,10 @@ ENTRIES = (
     ),
     Entry(
         "fusion:large",
-        "two networks, each also run on an enlarged lower crop: more accurate, slower",
+        "fusion averaged with that of the mirrored image: more accurate, slower",
         FusionSettings,
         Fusion,
-        defaults={"crops": (0.3,), "second": {"file": "rendered-free"}},
+        defaults={"mirrored": True},
     ),
     Entry(
         "fusion:scratch",

@@ -1,16 +1,14 @@
 """Network on an EfficientNet backbone: layout, road and ego car of whole images. Ours.
 
-The backbone is EfficientNet-Lite0 or Lite2 (Tan and Le, "EfficientNet", ICML 2019; the "lite"
-variants of their repository, without squeeze-and-excitation) but for its last stage, with weights
-learned from ImageNet's object labels and possibly fine-tuned, or Lite0 trained from random weights.
-Batch normalisation is folded into the convolutions. The heads are trained from scratch on roads:
-small convolutions at 1/8 and 1/4 of the size. Several heads, trained from different initial
-weights, are averaged.
+The backbone is EfficientNet-Lite0 (Tan and Le, "EfficientNet", ICML 2019; the "lite" variant of
+their repository, without squeeze-and-excitation) but for its last stage, with weights learned from
+ImageNet's object labels and possibly fine-tuned, or trained from random weights.
+Batch normalisation is folded into the convolutions. The head, of small convolutions at 1/8 and 1/4
+of the size, begins with random weights.
 """
 
-from collections.abc import Sequence
 from itertools import accumulate
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import torch
 from pydantic import Field
@@ -35,7 +33,7 @@ class Stage(NamedTuple):
 STEM = 32
 """Channels of the first convolution, at 1/2 of the size."""
 
-LITE0 = (
+STAGES = (
     Stage(1, 16, 3, 1, 1),
     Stage(6, 24, 3, 2, 2),
     Stage(6, 40, 5, 2, 2),
@@ -45,22 +43,8 @@ LITE0 = (
 )
 """Stages of EfficientNet-Lite0 down to 1/32 of the size, without the last."""
 
-LITE2 = (
-    Stage(1, 16, 3, 1, 1),
-    Stage(6, 24, 3, 2, 3),
-    Stage(6, 48, 5, 2, 3),
-    Stage(6, 88, 3, 2, 4),
-    Stage(6, 120, 5, 1, 4),
-    Stage(6, 208, 5, 2, 5),
-)
-"""Stages of EfficientNet-Lite2: 1.1 times as wide and 1.2 times as deep."""
-
-BackboneName = Literal["lite0", "lite2", "none"]
-
-BACKBONES: dict[BackboneName, tuple[Stage, ...]] = {"lite0": LITE0, "lite2": LITE2, "none": LITE0}
-
 FEATURE_STAGES = (1, 2, 4, 5)
-"""Stages whose outputs go to the heads: at 1/4, 1/8, 1/16, 1/32 of the size."""
+"""Stages whose outputs go to the head: at 1/4, 1/8, 1/16, 1/32 of the size."""
 
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -82,20 +66,14 @@ UpperRows = Annotated[
 
 
 class BackboneNetworkSettings(Settings):
-    """Working size and heads of a backbone network."""
+    """Working size and widths of a backbone network."""
 
     height: int = Field(default=256, ge=32, le=1024, multiple_of=32, description="height, pixels")
     width: int = Field(
         default=320, ge=32, le=1024, multiple_of=32, description="width, pixels (images stretched)"
     )
-    wide: int = Field(default=48, ge=8, le=512, description="channels of a head at 1/8 size")
-    narrow: int = Field(default=24, ge=8, le=512, description="channels of a head at 1/4 size")
-    heads: int = Field(default=3, ge=1, le=16, description="number of averaged heads")
-    backbone: BackboneName = Field(
-        default="lite0",
-        description="EfficientNet-Lite0 or Lite2 with weights of ImageNet, or (none) Lite0 trained "
-        "from random weights",
-    )
+    wide: int = Field(default=48, ge=8, le=512, description="channels of the head at 1/8 size")
+    narrow: int = Field(default=24, ge=8, le=512, description="channels of the head at 1/4 size")
     upper_rows: UpperRows = 0.0
 
 
@@ -159,15 +137,15 @@ class Bottleneck(nn.Module):
 
 
 class Backbone(nn.Module):
-    """EfficientNet-Lite as a feature extractor with four outputs."""
+    """EfficientNet-Lite0 as a feature extractor with four outputs."""
 
-    def __init__(self, stages: Sequence[Stage] = LITE0) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        ends = list(accumulate(stage.blocks for stage in stages))
+        ends = list(accumulate(stage.blocks for stage in STAGES))
         self.feature_blocks = [ends[number] - 1 for number in FEATURE_STAGES]
         self.stem = Conv2dSame(3, STEM, 3, 2)
         self.blocks, inputs = nn.ModuleList(), STEM
-        for stage in stages:
+        for stage in STAGES:
             for number in range(stage.blocks):
                 self.blocks.append(Bottleneck(inputs, stage, 1 if number else stage.stride))
                 inputs = stage.outputs
@@ -186,9 +164,9 @@ class Backbone(nn.Module):
 class Head(nn.Module):
     """A decoder from the backbone's maps and pixel coordinates to scores at 1/4 of the size."""
 
-    def __init__(self, wide: int, narrow: int, stages: Sequence[Stage] = LITE0) -> None:
+    def __init__(self, wide: int, narrow: int) -> None:
         super().__init__()
-        channels = [stages[number].outputs for number in FEATURE_STAGES]
+        channels = [STAGES[number].outputs for number in FEATURE_STAGES]
         self.norms = nn.ModuleList(nn.BatchNorm2d(count) for count in channels)
         self.fine = Conv2dSame(channels[0], narrow, 1, 1)
         self.middle = nn.ModuleList(Conv2dSame(count, wide, 1, 1) for count in channels[1:])
@@ -241,28 +219,21 @@ class BackboneNetwork(nn.Module):
     def __init__(self, settings: BackboneNetworkSettings | None = None) -> None:
         super().__init__()
         self.settings = settings or BackboneNetworkSettings()
-        stages = BACKBONES[self.settings.backbone]
-        self.backbone = Backbone(stages)
-        wide, narrow = self.settings.wide, self.settings.narrow
-        self.heads = nn.ModuleList(Head(wide, narrow, stages) for _ in range(self.settings.heads))
+        self.backbone = Backbone()
+        self.head = Head(self.settings.wide, self.settings.narrow)
 
     def train(self, mode: bool = True) -> "BackboneNetwork":
         """Set the training mode, but keep batch statistics fixed and dropout off."""
         super().train(mode)
-        for head in self.heads:
-            head.get_submodule("norms").eval()
-            head.get_submodule("drop").eval()  # its random numbers would have no seed
+        self.head.norms.eval()
+        self.head.drop.eval()  # its random numbers would have no seed
         return self
 
-    def last_layers(self) -> list[nn.Conv2d]:
-        """Return the convolution that computes the scores, of each head."""
-        return [head.get_submodule("scores") for head in self.heads]  # type: ignore[misc]
-
     def forward(self, images: Tensor) -> Tensor:
-        """Return scores (B, 5, H/4, W/4) of images (B, 3, H, W) in [0, 1], averaged over heads."""
+        """Return scores (B, 5, H/4, W/4) of images (B, 3, H, W) in [0, 1]."""
         return self.encode(images)[0]
 
     def encode(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Return the scores of ``forward`` and the backbone's features (B, 24, H/4, W/4)."""
         features = self.backbone(images)
-        return torch.stack([head(features) for head in self.heads]).mean(0), features[0]
+        return self.head(features).contiguous(), features[0]

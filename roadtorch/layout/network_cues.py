@@ -28,19 +28,15 @@ ROW_STEP = 8
 
 @torch.no_grad()
 def compute_cues(
-    network: BackboneNetwork,
-    image: Tensor,
-    fuse: RoadFusion | None = None,
-    upper_rows: float | None = None,
+    network: BackboneNetwork, image: Tensor, fuse: RoadFusion | None = None
 ) -> Mapping[str, Tensor]:
     """Return a whole-image network's ``layout`` (3, H, W), ``road`` and ``ego`` (H, W), in [0, 1].
 
     Of an image (3, H, W), in an exported graph of a batch. With ``fuse``, ``fused_road`` and
-    ``appearance`` (H, W) as well. upper_rows: None: that of the network's settings.
+    ``appearance`` (H, W) as well.
     """
     settings = network.settings
-    fraction = settings.upper_rows if upper_rows is None else upper_rows
-    rows = count_upper_rows(fraction, settings.height)
+    rows = count_upper_rows(settings.upper_rows, settings.height)
     small = resize_rows(image, (settings.height, settings.width), rows).clamp(0, 1)
     is_batch = small.ndim == 4
     images = small if is_batch else small[None]

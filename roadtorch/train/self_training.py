@@ -30,16 +30,14 @@ from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.inputs.item import Item, evenly_spaced
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import NUM_CLASSES, VERTICAL
-from roadtorch.layout.network_cues import compute_cues, count_upper_rows, resize_rows
-from roadtorch.layout.pretrained import IMAGENET, wheel_package
+from roadtorch.layout.network_cues import count_upper_rows, resize_rows
+from roadtorch.layout.pretrained import IMAGENET, WHEEL
 from roadtorch.layout.weights import (
     LayoutNetwork,
     load_network,
-    resize_network,
     save_network,
     weights_path,
 )
-from roadtorch.road.bayes import log_odds
 from roadtorch.run.memo import Arrays, cache_key, read_arrays
 from roadtorch.train.augmentation import InputResize
 from roadtorch.train.config import Descent, SelfTraining, Stopping
@@ -64,14 +62,8 @@ SOURCE = "source"
 STRIDE = 2
 """Pixels of the network's input for each at which the loss is computed."""
 
-CROPS = (0.3,)
-"""Crops of the detector that labels (``FusionSettings.crops``)."""
-
 ROUND_DECAY = 0.5
 """Weight of the mean so far in that of the rounds; the averages of two rounds err elsewhere."""
-
-MIN_EGO = 0.7
-"""Mean of detected ego car and its potential from which a target's pixel is ego car."""
 
 SHEET_TILES, TILE_SIZE = (4, 4), (240, 320)
 """Rows and columns of a sheet of target images with their road, and the size of each."""
@@ -81,43 +73,31 @@ SHEET_TILES, TILE_SIZE = (4, 4), (240, 320)
 
 
 class SelfTeacher:
-    """`fusion` with a network: labels averaged over sizes of its input, and mirrored."""
+    """`fusion:large` with a network: what it is sure of labels target images."""
 
-    def __init__(self, weights: Path, sizes: Sequence[tuple[int, int]]) -> None:
-        self._detector = load_detector("fusion", weights={"file": str(weights)}, crops=CROPS)
-        self._fusion: Any = self._detector.get_submodule("analysis")
-        self._networks = [resize_network(self._fusion.network, *size) for size in sizes]
+    def __init__(self, weights: Path) -> None:
+        self._detector = load_detector("fusion:large", weights={"file": str(weights)})
 
     def label(self, image: Tensor) -> Tensor:
         """Return sky, vertical, horizontal, road and not ego car (5, H, W) of an image (3, H, W).
 
-        The road is the geometric mean of the views' odds, so that one uncertain view does not
-        outvote several certain ones.
+        Where mask and likelihood disagree, as in regions that do not touch the seed area, the road
+        is one half, so that it does not count.
         """
-        views = list[Tensor]()
-        for network in self._networks:
-            self._fusion.network = network
-            for is_mirrored in (False, True):
-                view = image.flip(-1) if is_mirrored else image
-                cues = self._detector.detect(view)
-                car = cues.cues["ego"].float() + compute_cues(network, view)["ego"]
-                planes = torch.cat([cues.cues["layout"], cues.likelihood[None], car[None] / 2])
-                views.append(planes.flip(-1) if is_mirrored else planes)
-        planes = torch.stack(views)
-        street = (planes[:, -1].mean(0) <= MIN_EGO).float()
-        road = log_odds(planes[:, NUM_CLASSES]).mean(0).sigmoid() * street
-        return torch.cat([planes[:, :NUM_CLASSES].mean(0), road[None], street[None]])
+        detection = self._detector.detect(image)
+        is_sure = (detection.likelihood >= self._detector.settings.threshold) == detection.mask
+        road = torch.where(is_sure, detection.likelihood, 0.5)
+        street = ~detection.cues["ego"]
+        return torch.cat([detection.cues["layout"], torch.stack([road * street, street])])
 
     def compute(self, image: Tensor, name: str, size: tuple[int, int]) -> Arrays:
         """Return the labels of an image as ``maps``, uint8 of a size."""
         return {"maps": to_uint8(resize_maps(self.label(image), size).clamp(0, 1))}
 
 
-def label_key(
-    image: Item, weights: Path, sizes: Sequence[tuple[int, int]], size: tuple[int, int]
-) -> str:
+def label_key(image: Item, weights: Path, size: tuple[int, int]) -> str:
     """Return the cache key of the labels of an image; a worker gets this function by its name."""
-    return cache_key(weights, sizes, size, image.path)
+    return cache_key(weights, size, image.path)
 
 
 def label_targets(maps: Tensor, training: SelfTraining) -> Targets:
@@ -257,7 +237,7 @@ class SelfTrainingRecipe(Recipe):
         return descent, stopping.model_copy(update={"epochs": settings.epochs})
 
     def parameter_groups(self, network: nn.Module, number: int) -> list[dict[str, Any]]:
-        """Return heads and backbone; what is frozen needs no gradients."""
+        """Return head and backbone; what is frozen needs no gradients."""
         training, factor = self._training, self._training.rounds[number - 1].backbone_factor
         assert isinstance(network, BackboneNetwork)
         backbone = network.backbone
@@ -265,7 +245,7 @@ class SelfTrainingRecipe(Recipe):
         if training.frozen_blocks:
             for part in (backbone.stem, *backbone.blocks[: training.frozen_blocks]):
                 part.requires_grad_(False)
-        groups = [{"params": list(network.heads.parameters()), "factor": 1.0}]
+        groups = [{"params": list(network.head.parameters()), "factor": 1.0}]
         learning = [weight for weight in backbone.parameters() if weight.requires_grad]
         return groups + ([{"params": learning, "factor": factor}] if learning else [])
 
@@ -305,15 +285,14 @@ class SelfTrainingRecipe(Recipe):
             if inputs.number > 1
             else weights_path(training.initial_weights)
         )
-        sizes = sorted({min(training.sizes), max(training.sizes)})
-        teacher = SelfTeacher(weights, sizes)
+        teacher = SelfTeacher(weights)
         size = self._size[0] // STRIDE, self._size[1] // STRIDE
         prepared = self._prepared
         files = {
             file.relative_to(prepared).with_suffix("").as_posix(): file for file in inputs.files
         }
         items = [self._images[name] for name in files]
-        key = partial(label_key, weights=weights, sizes=sizes, size=size)
+        key = partial(label_key, weights=weights, size=size)
         preparation = Preparation(inputs.labels, key, partial(teacher.compute, size=size))
         prepared_items = prepare(items, preparation, stop, quiet)
         labelled = {files[item.name]: item.file for item in prepared_items if item.file}
@@ -354,17 +333,16 @@ class SelfTrainingRecipe(Recipe):
 
     def format_card(self, origin: Mapping[str, object], command: str) -> str:
         """Format the card beside the weights of a run."""
-        training, backbone = self._training, self._training.network.backbone
+        training = self._training
         weights = training.initial_weights or "random weights"
         if weights == IMAGENET:
-            package = wheel_package(backbone).replace("_", "-")
-            weights = f"ImageNet's object labels, package `{package}` (Apache-2.0)"
+            weights = f"ImageNet's object labels, package `{WHEEL.replace('_', '-')}` (Apache-2.0)"
         kinds = Counter(self._kinds.values())
         targets = [file.relative_to(self._prepared).as_posix() for file in self._files]
         source = [file.relative_to(self._prepared).as_posix() for file in self._kinds]
         counts = ", ".join(f"{kind} {count}" for kind, count in sorted(kinds.items()))
         rows = {
-            "backbone": f"{backbone}, from {weights}",
+            "backbone": f"EfficientNet-Lite0, from {weights}",
             "source": f"{len(source)} images with a renderer's truth ({counts})",
             "source's names": f"SHA-256 {names_digest(source)}",
             "target": f"{len(targets)} images, labelled by the run's own network",

@@ -211,7 +211,7 @@ def initialise_network(
     count = min(LEVEL_BATCHES, samples.chunks)
     images = (batch.inputs for chunk in range(count) for batch in samples.batches(0, chunk))
     if training.initial_weights:
-        load_imagenet_weights(network.backbone, network.settings.backbone)
+        load_imagenet_weights(network.backbone)
     measure_norms(network, images)
 
 

@@ -28,7 +28,7 @@ def test_a_sound_installation_line_by_line(call: Call, monkeypatch: pytest.Monke
     for name in ("backbone-free.safetensors", "cnn-7.safetensors", "video", "fusion", "torch"):
         assert checks[name][0] == "ok", checks[name]
     assert "reads h264" in checks["video"][1]
-    assert checks["backbone-free.safetensors"][1] == "SHA-256 b7185fa4ded7…"
+    assert checks["backbone-free.safetensors"][1] == "SHA-256 ab2ba666fb88…"
     assert checks["fusion"][1].startswith("F 0.9")
     for runtime in ("torch", "onnxruntime"):
         assert re.search(rf"ok +fusion, {runtime} +\d+\.\d ms, \d+\.\d fps", result.stdout)

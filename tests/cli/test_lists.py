@@ -47,7 +47,7 @@ def test_detectors_name_explains_its_settings_in_a_hundred_columns(call: Call) -
 
     cells = {line.split()[0]: line for line in lines if line[:1].strip()}
     assert max(map(len, lines)) <= 100
-    assert {"calibration.centre", "working.pixels", "crops"} <= set(cells)
+    assert {"calibration.centre", "working.pixels", "mirrored"} <= set(cells)
     assert "number" in cells["threshold"]
     assert "≥ 0, ≤ 1" in cells["threshold"]
     assert "drop | keep" in cells["isolated"]

@@ -55,47 +55,38 @@ def test_without_learning_it_is_the_product_of_its_cues(monkeypatch: pytest.Monk
     np.testing.assert_allclose(detection.likelihood, (odds / 6).sigmoid(), atol=1e-4, rtol=0.0)
 
 
-@pytest.mark.parametrize(("crops", "weight"), [((), 0.0), ((), 1.0), ((0.25,), 1.0)])
+@pytest.mark.parametrize(
+    ("mirrored", "weight"), [(False, 0.0), (False, 1.0), (True, 0.0), (True, 1.0)]
+)
 def test_the_likelihood_is_the_calibrated_mean_of_views_fused_with_their_appearance(
-    crops: tuple[float, ...], weight: float
+    mirrored: bool, weight: float
 ) -> None:
     usual = {"centre": 0.5, "temperature": 2.0}
     plain = {"calibration": usual, "outlines": "smooth", "working": {"pixels": 96 * 128}}
     image, network = street(), load_network(shipped_weights(DEFAULT_WEIGHTS))
     assert isinstance(network, BackboneNetwork)
 
-    appearance = {"weight": weight}
-    detection = load_detector("fusion", crops=crops, appearance=appearance, **plain).detect(image)
+    plain |= {"mirrored": mirrored, "appearance": {"weight": weight}}
+    detection = load_detector("fusion", **plain).detect(image)
 
+    views = [image, image.flip(-1)] if mirrored else [image]
     fuse = partial(fuse_appearance, weight=weight)
-    mean = compute_cues(network, image, fuse)["fused_road"].clone()
-    for _ in crops:
-        upper = image.shape[-2] // 4
-        lower = compute_cues(network, image[:, upper:], fuse, upper_rows=0)["fused_road"]
-        mean[upper:] = (mean[upper:] + lower) / 2
+    roads = [compute_cues(network, view, fuse)["fused_road"] for view in views]
+    mean = torch.stack([roads[0], roads[-1].flip(-1) if mirrored else roads[0]]).mean(0)
     expected = calibrated_likelihood(log_odds(mean), RoadCalibration(**usual))
     free = ~detection.cues["ego"]
     np.testing.assert_allclose(detection.likelihood[free], expected[free], atol=2e-3, rtol=0.0)
-    if not weight:
+    if not weight and not mirrored:
         assert torch.equal(mean, compute_cues(network, image)["road"])
 
 
-def test_a_second_network_has_its_weight_in_the_mean() -> None:
-    image = street()
-    plain = {"outlines": "smooth", "working": {"pixels": 96 * 128}}
+def test_the_mirrored_image_gives_the_mirrored_likelihood() -> None:
+    detector = load_detector("fusion:large", outlines="smooth", working={"pixels": 96 * 128})
 
-    alone = load_detector("fusion", **plain).detect(image).cues
-    second_alone = (
-        load_detector("fusion", weights={"file": "scratch-free"}, **plain).detect(image).cues
-    )
-    second = {"file": "scratch-free", "weight": 0.25}
-    pair = load_detector("fusion", second=second, **plain).detect(image).cues
+    likelihood = detector.detect(street()).likelihood
+    mirrored = detector.detect(street().flip(-1)).likelihood
 
-    assert torch.equal(pair["ego"], alone["ego"])
-    for name in ("layout", "learned_road", "appearance"):
-        expected = 0.75 * alone[name] + 0.25 * second_alone[name]
-        free = ~(alone["ego"] | second_alone["ego"])
-        np.testing.assert_allclose(pair[name][..., free], expected[..., free], atol=1e-4, rtol=0.0)
+    np.testing.assert_allclose(mirrored.flip(-1), likelihood, atol=1e-4, rtol=0.0)
 
 
 def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:

@@ -58,7 +58,6 @@ NEEDS: dict[str, dict] = {
     "road.base": {"road": {"position": "ahead"}},
     "road.whole": {"tree": {"nodes": "runs", "min_area": 1000}},
     "saturation": {"descriptor": "cpf:v2"},
-    "second.weight": {"second": {"file": "rendered-free"}},
     "classifier.threshold": {"classifier": {"rejected": 0.3}},
 }
 """What else has to be set for a setting to matter, in the detectors of ``USUAL``."""
@@ -80,9 +79,7 @@ def wide_lens() -> dict[str, Any]:
 KNOWN: dict[tuple[str, ...], Any] = {
     ("ego", "outline"): [0.5, 0.8],
     ("working", "pixels"): 2000,
-    ("crops",): [0.3],
     ("invariant_angle",): 30.0,
-    ("second", "file"): "rendered-free",
     ("rectification",): {"lens": wide_lens(), "pitch": 10.0},
 }
 """Values that no type or bound tells."""

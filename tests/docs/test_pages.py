@@ -199,7 +199,7 @@ def test_the_page_on_fusion_states_the_size_of_the_network_and_the_formula_of_tr
     page = (ROOT / "docs/how/fusion.md").read_text(encoding="utf-8")
     network = load_network(shipped_weights(DEFAULT_WEIGHTS))
     assert isinstance(network, BackboneNetwork)
-    parts = network, network.backbone, network.heads
+    parts = network, network.backbone, network.head
     stated = [f"{sum(weight.numel() for weight in part.parameters()):,}" for part in parts]
     stability, expected, _ = trust.FEATURE_WEIGHTS
 

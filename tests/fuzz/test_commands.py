@@ -24,7 +24,7 @@ from tests.fuzz.mutations import fuzz_settings
 
 PLAIN_WORDS = """
     x - -- -1 0 1 7 0.5 1e999 nan 1,2 , a=b = . .. [ ** *.png gone gone/ gone/x.png
-    threshold=0.5 threshold= crops=1 threshold.x=1 ego.mask=image.png kind=images
+    threshold=0.5 threshold= mirrored=2 threshold.x=1 ego.mask=image.png kind=images
     image.png ./image.png image.png/ images images/ empty maps loop pair masks.json
     text.txt @text.txt @gone text.toml thresholds/cpf-v2 thresholds/x folder camvid folder:pair
     prior:rows prior:* prior:rows=maps x=maps cpf oneclass:* cnn7 adapt backbone-free

@@ -34,7 +34,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 # --- parity -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("settings", [{}, {"crops": (0.3,)}], ids=["one view", "two views"])
+@pytest.mark.parametrize("settings", [{}, {"mirrored": True}], ids=["one view", "two views"])
 def test_masks_agree_with_torch_but_within_1e_4_of_the_threshold(settings: dict[str, Any]) -> None:
     reference = load_detector("fusion", **settings)
     detector = load_detector("fusion", runtime="onnxruntime", **settings)

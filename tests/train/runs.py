@@ -48,8 +48,6 @@ height = 32
 width = 64
 narrow = 8
 wide = 8
-heads = 1
-backbone = "none"
 
 [teacher]
 detector = "labeller"
@@ -75,10 +73,8 @@ upper_rows = [0.0, 0.25]
 [network]
 height = 32
 width = 64
-heads = 1
 wide = 8
 narrow = 8
-backbone = "none"
 
 [augmentation]
 ego_car = 0.5

@@ -90,7 +90,6 @@ def test_checkpoints_that_cannot_be_used_are_refused(
 # --- settings ---------------------------------------------------------------------------
 
 
-BACKBONE = {"kind": "images", "network": {"backbone": "lite0"}}
 EGO_CARS = {"kind": "images", "augmentation": {"ego_car": 0.5}}
 
 
@@ -101,8 +100,8 @@ EGO_CARS = {"kind": "images", "augmentation": {"ego_car": 0.5}}
         ({"kind": "images", "shuffle_images": 3}, "shuffle_images: unknown setting"),
         ({"kind": "images", "rounds": []}, "rounds: unknown setting"),
         ({"network": {"topology": {"size1": 9}}}, "topology: leaves an empty or odd"),
-        (BACKBONE | {"network": {"width": 80}}, "network.width: .* multiple of 32"),
-        (BACKBONE, "initial_weights: is empty, but network.backbone is lite0"),
+        ({"kind": "images", "network": {"width": 80}}, "network.width: .* multiple of 32"),
+        ({"initial_weights": "imagenet"}, "initial_weights: is imagenet, but patches have no"),
         (EGO_CARS, "augmentation.ego_car: is 0.5, but only rendered worlds"),
     ],
 )

@@ -127,7 +127,6 @@ def test_weights_say_that_people_corrected_images(run: Outcome) -> None:
     assert (summary["images"], summary["pixels"]) == (1, 3 * 60 * 80 // 4)
     assert "not label-free" in weights.with_suffix(".md").read_text()
     assert count_corrected_images({"weights": {"file": str(weights)}}) == 1
-    assert count_corrected_images({"weights": {"file": ""}, "second": {"file": str(weights)}}) == 1
     assert json.loads((weights.parent / "run.json").read_text())["corrections"] == summary
 
 

@@ -139,18 +139,18 @@ def test_a_run_from_weights_ends_with_a_page_of_masks_before_and_after(tmp_path:
 def test_a_run_from_the_weights_of_imagenet_begins_with_them(
     streets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_wheel(tmp_path, "lite0", expected := Backbone())
+    write_wheel(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     words = ["--config", write_config(tmp_path / "run.toml", IMAGES), "--images", streets]
     words += ["--out", tmp_path / "run", "--set", "initial_weights=imagenet"]
-    words += ["--set", "network.backbone=lite0", "--set", "descent.learning_rate=1e-9"]
+    words += ["--set", "descent.learning_rate=1e-9"]
 
     invoke_command(train_command, *words)
 
     assert not (tmp_path / "run/adaptation.html").exists()  # there is nothing to compare with
     network = load_network(tmp_path / "run/weights.safetensors")
     assert isinstance(network, BackboneNetwork)
-    load_imagenet_weights(expected, "lite0")
+    load_imagenet_weights(expected := Backbone())
     for name, weight in expected.state_dict().items():
         begun = network.backbone.state_dict()[name]
         torch.testing.assert_close(begun, weight, atol=1e-5, rtol=1e-3)  # in half precision

@@ -85,12 +85,12 @@ def test_the_weights_that_are_written_are_the_mean_over_the_steps(trained: Train
     # One step: the mean keeps one eleventh of the weights before it.
     states = [torch.load(run / "checkpoint.pt", weights_only=True) for run in (still, out)]
     begun, last = (state["network"] for state in states)
-    assert not torch.equal(last["heads.0.scores.bias"], begun["heads.0.scores.bias"])
+    assert not torch.equal(last["head.scores.bias"], begun["head.scores.bias"])
     written = load_network(out / "weights.safetensors").state_dict()
     for name in dict(make_network(training_of("images")).named_parameters()):
         mean, average = (begun[name] + 10 * last[name]) / 11, states[1]["average"][name]
         torch.testing.assert_close(average, mean)
-        if name.startswith("heads"):  # in the backbone normalisation is folded in
+        if name.startswith("head"):  # in the backbone normalisation is folded in
             assert torch.equal(written[name], average.half().to(average))
 
 

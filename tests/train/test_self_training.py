@@ -152,9 +152,9 @@ def test_labels_are_those_of_the_weights_and_are_made_once(
     second.samples()
     again = [path.stat().st_mtime_ns for path in labels]
     with torch.no_grad():
-        for layer in second.network.last_layers():
-            assert layer.bias is not None
-            layer.bias[3] += 9.0
+        bias = second.network.head.scores.bias
+        assert bias is not None
+        bias[3] += 9.0
     second.save()
     second.samples()
 
@@ -215,7 +215,7 @@ def test_a_frozen_backbone_and_frozen_blocks_do_not_learn(
 
     names = {id(weight): name for name, weight in rounds.network.named_parameters()}
     parts = [{names[id(weight)] for weight in group["params"]} for group in groups]
-    assert all(name.startswith("heads.") for name in parts[0])
+    assert all(name.startswith("head.") for name in parts[0])
     found = {name.split(".")[1] for part in parts[1:] for name in part}
     assert found == learning
     assert [group["factor"] for group in groups] == [1.0, *([0.4] if learning else [])]
@@ -257,12 +257,7 @@ def test_borders_of_road_and_vertical_weigh_where_truth_is_exact() -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({}, r"initial_weights: is empty, but network.backbone is lite0 \(give imagenet with"),
-        ({"initial_weights": "imagenet", "network": {"backbone": "none"}}, "backbone is none"),
-        (
-            {"initial_weights": "imagenet", "rounds": [{"target": 0.5}]},
-            "rounds.0.target: is not 0, but no network",
-        ),
+        ({"rounds": [{"target": 0.5}]}, "rounds.0.target: is not 0, but no network"),
         ({"sizes": [[100, 64]]}, "sizes.0.0: 100 was given .*multiple of 32"),
     ],
 )

@@ -118,7 +118,7 @@ def test_a_vote_with_the_mirror_image_has_no_side() -> None:
 
 
 def small_training(**teacher: object) -> ImageTraining:
-    network = {"height": 32, "width": 64, "backbone": "none"}
+    network = {"height": 32, "width": 64}
     values = {"kind": "images", "network": network, "teacher": teacher}
     training = build_training(values)
     assert isinstance(training, ImageTraining)

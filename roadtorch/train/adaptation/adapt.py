@@ -197,9 +197,9 @@ def write_biased(learned: Path, file: Path, bias: float) -> None:
     network = load_network(learned)
     assert isinstance(network, BackboneNetwork)
     with torch.no_grad():
-        for layer in network.last_layers():
-            assert layer.bias is not None
-            layer.bias[ROAD_OUTPUT] += bias
+        scores = network.head.scores.bias
+        assert scores is not None
+        scores[ROAD_OUTPUT] += bias
     save_network(file, network, read_origin(learned))
 
 
