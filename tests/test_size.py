@@ -35,7 +35,7 @@ LINES = {
     "roadtorch/train": 3_935,
     "roadtorch/ufl": 1_345,
     "scripts": 4_503,
-    "tests": 26_435,
+    "tests": 26_457,
     "train": 4_435,
 }
 """The lines of source code that each folder may have."""

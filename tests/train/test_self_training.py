@@ -11,6 +11,7 @@ import torch
 from roadtorch import load_detector
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.signals import StopRequest
+from roadtorch.detectors.detector import Detector
 from roadtorch.inputs.images import find_images
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.weights import load_network, save_network
@@ -18,6 +19,7 @@ from roadtorch.run.memo import read_arrays
 from roadtorch.train.config import SelfTraining, build_training
 from roadtorch.train.run import TrainingRequest, make_network, make_recipe, prepare_folder, train
 from roadtorch.train.self_training import (
+    SelfTeacher,
     SelfTrainingRecipe,
     label_targets,
     round_weights,
@@ -164,6 +166,26 @@ def test_labels_are_those_of_the_weights_and_are_made_once(
         new = read_arrays(path, "maps")["maps"]
         assert new.shape == (5, 36, 38)
         assert new[3].float().mean() > maps[3].float().mean()
+
+
+def test_the_road_of_labels_is_one_half_where_mask_and_likelihood_disagree(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image = torch.rand(3, 40, 40)
+    detection = load_detector("fusion:large").detect(image)
+    mask, ego = torch.zeros(2, 40, 40, dtype=torch.bool)
+    mask[:, :30], ego[30:] = True, True
+    likelihood = torch.full((40, 40), 0.9).where(torch.arange(40) < 20, 0.2)
+    changed = replace(
+        detection, likelihood=likelihood, mask=mask, cues={**detection.cues, "ego": ego}
+    )
+    monkeypatch.setattr(Detector, "detect", lambda *_: changed)
+
+    labels = SelfTeacher(write_random_network(tmp_path / "mine.safetensors", 0)).label(image)
+
+    assert labels[3, 0, [5, 25, 35]].tolist() == pytest.approx([0.9, 0.5, 0.2])
+    assert not labels[3, ego].any()
+    assert labels[4].bool().equal(~ego)
 
 
 def test_half_of_a_batch_is_target_and_a_first_round_has_none(
