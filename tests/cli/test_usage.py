@@ -60,7 +60,7 @@ MISTAKES = {
     "train --images *.jpg --out o --masks bare": "bare: has a mask for none of 1 images, such as x",
     "adapt --out o": "Missing argument 'FOOTAGE...'",
     "adapt x.jpg --out o --set kind=patches": "network.height: unknown setting",
-    "adapt x.jpg --out o --set initial_weights=": "initial_weights: ",
+    "adapt x.jpg --out o --set initial_weights=": "kind, initial_weights: adaptation",
     "annotate bare --detector prior:rows": "bare: holds no images (",
     "annotate . --export coco": "Missing option '--to'",
     "annotate . --import coco": "Missing option '--from'",
